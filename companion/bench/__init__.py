@@ -1,0 +1,1 @@
+"""Design and measurement on the desk; never imported by the flying process."""

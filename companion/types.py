@@ -1,0 +1,312 @@
+"""What crosses the boundaries of the pure core: events in, outputs out.
+
+Frames and signs, once for the whole project (the paper's, not the autopilot's):
+
+- horizontal position and velocity: local frame, x East, y North, metres;
+- height: metres, up positive, zero at the autopilot's local origin (the take-off point);
+- heading: radians, counter-clockwise positive from East (so heading = π/2 − NED yaw), in (−π, π];
+- yaw rate: rad/s, counter-clockwise positive seen from above (the negative of NED's);
+- body velocity: forward and left, m/s;
+- bearing θ = heading − azimuth of the line of sight, in (−π, π]; θ > 0: the target is on the right
+  (paper, Fig. 1 and Eq. (4)).
+
+The autopilot's NED signs exist in `link/mavlink.py` and in `sitl_mock` alone.
+
+Time is integer nanoseconds of the local monotonic clock (`t_ns`), the time of reception; durations are
+float seconds. `None` means "not told"; no field is ever NaN or infinite unless a docstring says so.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, IntEnum
+
+import msgspec
+
+
+class LineOfSight(Enum):
+    """What a UWB module says of the path of its signal."""
+
+    LOS = "los"
+    NLOS = "nlos"
+    UNKNOWN = "unknown"
+
+
+class FlightMode(Enum):
+    """Flight modes, named as PX4 names them; ArduPilot's GUIDED is told as `OFFBOARD`."""
+
+    OFFBOARD = "OFFBOARD"
+    MANUAL = "MANUAL"
+    STABILIZED = "STABILIZED"
+    ACRO = "ACRO"
+    ALTCTL = "ALTCTL"
+    POSCTL = "POSCTL"
+    AUTO_READY = "AUTO.READY"
+    AUTO_TAKEOFF = "AUTO.TAKEOFF"
+    AUTO_LOITER = "AUTO.LOITER"
+    AUTO_MISSION = "AUTO.MISSION"
+    AUTO_RTL = "AUTO.RTL"
+    AUTO_LAND = "AUTO.LAND"
+    OTHER = "OTHER"
+
+
+class Landed(Enum):
+    """EXTENDED_SYS_STATE.landed_state."""
+
+    UNKNOWN = "unknown"
+    ON_GROUND = "on ground"
+    IN_AIR = "in air"
+    TAKING_OFF = "taking off"
+    LANDING = "landing"
+
+
+class Source(Enum):
+    """The link that an input came from."""
+
+    RANGES = "ranges"
+    VEHICLE = "vehicle"
+
+
+# ---------------------------------------------------------------------------------------------- events
+
+
+class Event(msgspec.Struct, frozen=True, gc=False, tag_field="event"):
+    """Something that happened, with the local monotonic time at which it reached us."""
+
+    t_ns: int
+
+
+class RangeSample(Event, frozen=True, gc=False, tag="range"):
+    """One distance from one beacon, well-formed but not yet believed (`gate.py` decides that).
+
+    `range_m` is the slant distance. `sent_t_ns` is the publisher's Unix time, for the record only: ages are
+    judged by `t_ns`.
+    """
+
+    beacon: str
+    session: str
+    seq: int
+    range_m: float
+    sigma_m: float | None = None
+    los: LineOfSight = LineOfSight.UNKNOWN
+    rssi_dbm: float | None = None
+    sent_t_ns: int | None = None
+
+
+class Malformed(Event, frozen=True, gc=False, tag="malformed"):
+    """Wire data that could not be read, told so that it is counted and recorded."""
+
+    source: Source
+    reason: str
+    detail: str = ""
+
+
+class Attitude(Event, frozen=True, gc=False, tag="attitude"):
+    """Measured heading and yaw rate (MAVLink ATTITUDE). `boot_ms`: the autopilot's own clock."""
+
+    heading_rad: float
+    yaw_rate_rad_s: float
+    boot_ms: int = 0
+
+
+class LocalMotion(Event, frozen=True, gc=False, tag="local_motion"):
+    """Estimated position and velocity in the local frame (MAVLink LOCAL_POSITION_NED or ODOMETRY).
+
+    Position fields are None where the autopilot has a velocity estimate only.
+    """
+
+    x_m: float | None
+    y_m: float | None
+    height_m: float | None
+    vx_m_s: float
+    vy_m_s: float
+    climb_m_s: float
+    boot_ms: int = 0
+
+
+class VehicleHeartbeat(Event, frozen=True, gc=False, tag="heartbeat"):
+    """The autopilot's HEARTBEAT: it is there, armed or not, and (up to a second late) in which mode."""
+
+    system_id: int
+    mode: FlightMode
+    armed: bool
+
+
+class ModeReport(Event, frozen=True, gc=False, tag="mode"):
+    """CURRENT_MODE: the actual and the intended mode (None where the autopilot does not tell it)."""
+
+    actual: FlightMode
+    intended: FlightMode | None
+
+
+class LandedReport(Event, frozen=True, gc=False, tag="landed"):
+    """EXTENDED_SYS_STATE: on the ground or in the air."""
+
+    landed: Landed
+
+
+class StopRequest(Event, frozen=True, gc=False, tag="stop"):
+    """The person at the keyboard wants the flight to end (Ctrl-C, SIGTERM)."""
+
+
+class Tick(Event, frozen=True, gc=False, tag="tick"):
+    """Time passes: keeps staleness, timeouts and the minimum rate of the stream. Carries nothing."""
+
+
+AnyEvent = (
+    RangeSample
+    | Malformed
+    | Attitude
+    | LocalMotion
+    | VehicleHeartbeat
+    | ModeReport
+    | LandedReport
+    | StopRequest
+    | Tick
+)
+"""Every event there is: a tagged union, so that a record of them decodes to the same objects."""
+
+
+# --------------------------------------------------------------------------------------------- outputs
+
+
+class Output(msgspec.Struct, frozen=True, gc=False, tag_field="output"):
+    """Something that a step decided, at the time of the event that caused it."""
+
+    t_ns: int
+
+
+class Setpoint(Output, frozen=True, gc=False, tag="setpoint"):
+    """What the vehicle is to do now; valid for this moment only and never sent twice.
+
+    `speed_m_s` is laid along `heading_rad`, the heading measured last. With `height_m` that height is held
+    by the autopilot (LOCAL_NED); with None, `climb_m_s` comes from the app's own height loop (BODY_NED).
+    """
+
+    speed_m_s: float
+    yaw_rate_rad_s: float
+    heading_rad: float
+    height_m: float | None
+    climb_m_s: float
+
+
+class ModeRequest(Output, frozen=True, gc=False, tag="mode_request"):
+    """The hand-over after a loss: the only mode change that the flying process may ask for."""
+
+    mode: FlightMode
+
+
+class Severity(IntEnum):
+    """MAV_SEVERITY, as far as it is used."""
+
+    CRITICAL = 2
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+class SystemStatus(IntEnum):
+    """MAV_STATE of our own HEARTBEAT."""
+
+    BOOT = 1
+    STANDBY = 3
+    ACTIVE = 4
+    CRITICAL = 5
+
+
+class CompanionHeartbeat(Output, frozen=True, gc=False, tag="companion_heartbeat"):
+    """Our own HEARTBEAT, sent by the loop so that it stops when the loop stops."""
+
+    system_status: SystemStatus
+
+
+class Phase(Enum):
+    """Where the flight stands. The transitions are the table in `phase.py`."""
+
+    AWAIT = "await"
+    """Vehicle telemetry or ranges are still missing. Silent."""
+    STANDBY = "standby"
+    """Everything is there: standstill is streamed, waiting for a fresh act that selects OFFBOARD."""
+    INHIBITED = "inhibited"
+    """Started, or back, with OFFBOARD already actual or intended: silent until a person acts."""
+    ACQUIRE = "acquire"
+    """Engaged; turning to find the bearing."""
+    APPROACH = "approach"
+    """Engaged; flying to the target."""
+    HOLD = "hold"
+    """Engaged; inside the capture radius at zero speed."""
+    COAST = "coast"
+    """Engaged; no fresh range, flying on the prediction for a short while."""
+    STALL = "stall"
+    """Engaged; no range for too long: standing still, waiting for ranges."""
+    HAND_OVER = "hand over"
+    """Asking for the configured mode after a loss, a spent budget or Ctrl-C, still streaming standstill."""
+    RELEASED = "released"
+    """The vehicle left OFFBOARD: silent, until the intended mode is known to be another one."""
+    DONE = "done"
+    """The flight is over and the target was captured. Final."""
+    ENDED = "ended"
+    """The flight is over and the target was not captured, or was never begun. Final."""
+
+    @property
+    def is_final(self) -> bool:
+        """True where the loop ends."""
+        return self in _FINAL
+
+    @property
+    def is_engaged(self) -> bool:
+        """True where setpoints steer the vehicle."""
+        return self in _ENGAGED
+
+
+_FINAL = frozenset({Phase.DONE, Phase.ENDED})
+_ENGAGED = frozenset({Phase.ACQUIRE, Phase.APPROACH, Phase.HOLD, Phase.COAST, Phase.STALL, Phase.HAND_OVER})
+
+
+class PhaseChange(Output, frozen=True, gc=False, tag="phase_change"):
+    """A transition, with its reason in words for a person."""
+
+    before: Phase
+    after: Phase
+    reason: str
+    severity: Severity
+
+
+class Estimate(msgspec.Struct, frozen=True, gc=False):
+    """What the observer knows of the target.
+
+    `bearing_rad` is θ in (−π, π]; `distance_m` is horizontal. The sigmas are one standard deviation.
+    """
+
+    distance_m: float
+    distance_sigma_m: float
+    bearing_rad: float
+    bearing_sigma_rad: float
+
+
+class Status(Output, frozen=True, gc=False, tag="status"):
+    """A snapshot for people, a few times a second: what the live view shows."""
+
+    phase: Phase
+    reason: str
+    awaited: tuple[str, ...]
+    mode: FlightMode | None
+    armed: bool | None
+    range_m: float | None
+    range_age_s: float | None
+    ranges_accepted: int
+    rejected: dict[str, int]
+    malformed: dict[str, int]
+    telemetry_age_s: float | None
+    estimate: Estimate | None
+    speed_m_s: float | None
+    yaw_rate_rad_s: float | None
+    x_m: float | None
+    y_m: float | None
+    height_m: float | None
+    heading_rad: float | None
+    path_m: float
+    engaged_s: float
+
+
+AnyOutput = Setpoint | ModeRequest | CompanionHeartbeat | PhaseChange | Status
+"""Every output there is."""

@@ -1,0 +1,1 @@
+"""A stand-in for a PX4 autopilot and its UWB beacons, for tests."""

@@ -1,0 +1,58 @@
+"""What the mock plays: where things are, how the vehicle answers, how good its sensors and beacons are."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
+class BeaconAt(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A beacon: its id and position, metres East, North, up of the take-off point."""
+
+    id: str = "b1"
+    x_m: float = 3.5
+    y_m: float = 5.0
+    height_m: float = 0.0
+    bias_m: float = 0.0
+
+
+class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The `[sim]` table. Defaults: a quadrotor as recorded from a real PX4, one beacon, honest UWB."""
+
+    beacons: tuple[BeaconAt, ...] = (BeaconAt(),)
+    start_x_m: float = -2.0
+    start_y_m: float = 0.5
+    start_height_m: NonNegative = 3.0
+    """Height at which a simulated flight begins (the wire mock starts on the ground)."""
+    start_heading_rad: float = 1.5707963267948966
+    random_start: bool = False
+    """Draw the heading uniformly and the distance to the first beacon from start_distance_m for every seed."""
+    start_distance_m: tuple[Positive, Positive] = (3.0, 30.0)
+
+    yaw_rate_lag_s: NonNegative = 0.30
+    yaw_rate_delay_s: NonNegative = 0.17
+    yaw_rate_gain: Positive = 0.972
+    velocity_lag_s: NonNegative = 0.60
+    velocity_delay_s: NonNegative = 0.15
+    vertical_lag_s: NonNegative = 0.7
+    """Yaw-rate, horizontal-velocity and vertical responses: first-order lag after a dead time. All zero: ideal."""
+    drift_x_m_s: float = 0.0
+    drift_y_m_s: float = 0.0
+    """True motion that the autopilot does not know of (a velocity bias of its estimate)."""
+    telemetry: Literal["perfect", "quiet", "stock", "none"] = "quiet"
+    """Errors of the autopilot's estimate: none, as recorded with quiet sensors, with stock ones; or not told at all."""
+
+    range_rate_hz: Positive = 20.0
+    range_sigma_m: NonNegative = 0.07
+    range_dropout: Fraction = 0.10
+    range_outliers: Fraction = 0.05
+    range_outlier_m: tuple[Positive, Positive] = (0.5, 3.0)
+    """Non-line-of-sight outliers add a uniform positive error between these two."""
+    limit_s: Positive = 300.0
+    """A simulated flight ends here at the latest."""
