@@ -59,11 +59,17 @@ class Landed(Enum):
     LANDING = "landing"
 
 
-class Source(Enum):
-    """The link that an input came from."""
+class Defect(Enum):
+    """Why wire data could not become an event. A closed list, so that counting it takes bounded memory."""
 
-    RANGES = "ranges"
-    VEHICLE = "vehicle"
+    RANGE_PAYLOAD = "unreadable range"
+    RANGE_FIELD = "range field missing or out of range"
+    RANGE_TOO_LONG = "range payload too long"
+    RANGE_ENCODING = "range encoding not JSON or MessagePack"
+    RANGE_STATUS = "not a measurement"
+    RANGE_FLOOD = "more ranges than can be read"
+    MAVLINK_BYTES = "not MAVLink"
+    MAVLINK_FIELD = "MAVLink field not finite"
 
 
 # ---------------------------------------------------------------------------------------------- events
@@ -95,8 +101,7 @@ class RangeSample(Event, frozen=True, gc=False, tag="range"):
 class Malformed(Event, frozen=True, gc=False, tag="malformed"):
     """Wire data that could not be read, told so that it is counted and recorded."""
 
-    source: Source
-    reason: str
+    defect: Defect
     detail: str = ""
 
 
@@ -242,15 +247,13 @@ class Phase(Enum):
     """Asking for the configured mode after a loss, a spent budget or Ctrl-C, still streaming standstill."""
     RELEASED = "released"
     """The vehicle left OFFBOARD: silent, until the intended mode is known to be another one."""
-    DONE = "done"
-    """The flight is over and the target was captured. Final."""
     ENDED = "ended"
-    """The flight is over and the target was not captured, or was never begun. Final."""
+    """The flight is over, or nothing came to begin it with. Final."""
 
     @property
     def is_final(self) -> bool:
         """True where the loop ends."""
-        return self in _FINAL
+        return self is Phase.ENDED
 
     @property
     def is_engaged(self) -> bool:
@@ -258,7 +261,6 @@ class Phase(Enum):
         return self in _ENGAGED
 
 
-_FINAL = frozenset({Phase.DONE, Phase.ENDED})
 _ENGAGED = frozenset({Phase.ACQUIRE, Phase.APPROACH, Phase.HOLD, Phase.COAST, Phase.STALL, Phase.HAND_OVER})
 
 
@@ -306,6 +308,7 @@ class Status(Output, frozen=True, gc=False, tag="status"):
     heading_rad: float | None
     path_m: float
     engaged_s: float
+    captured: bool
 
 
 AnyOutput = Setpoint | ModeRequest | CompanionHeartbeat | PhaseChange | Status

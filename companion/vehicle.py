@@ -1,0 +1,97 @@
+"""What is known of the vehicle: the last of each telemetry message, and how it has moved since."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from companion.types import Attitude, FlightMode, Landed, LocalMotion, ModeReport, VehicleHeartbeat
+
+_MODE_REPORT_FRESH_NS = 1_500_000_000
+"""While CURRENT_MODE comes, the mode in HEARTBEAT (up to a second late) is not looked at."""
+_MOTION_FRESH_NS = 300_000_000
+"""An older velocity is no longer taken for the present one."""
+
+
+class Vehicle(NamedTuple):
+    """The last word of each kind. Times are None until something came."""
+
+    t_link_ns: int | None = None
+    t_mode_ns: int | None = None
+    actual: FlightMode | None = None
+    intended: FlightMode | None = None
+    armed: bool | None = None
+    landed: Landed = Landed.UNKNOWN
+    t_attitude_ns: int | None = None
+    heading_rad: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+    t_motion_ns: int | None = None
+    x_m: float | None = None
+    y_m: float | None = None
+    height_m: float | None = None
+    vx_m_s: float = 0.0
+    vy_m_s: float = 0.0
+
+
+class BodyMotion(NamedTuple):
+    """How the vehicle moves: body axes, paper frame."""
+
+    forward_m_s: float = 0.0
+    left_m_s: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+
+
+def on_heartbeat(v: Vehicle, e: VehicleHeartbeat) -> Vehicle:
+    """HEARTBEAT: armed or not; the mode only where CURRENT_MODE does not tell it better."""
+    if v.t_mode_ns is not None and e.t_ns - v.t_mode_ns < _MODE_REPORT_FRESH_NS:
+        return v._replace(t_link_ns=e.t_ns, armed=e.armed)
+    return v._replace(t_link_ns=e.t_ns, armed=e.armed, actual=e.mode, intended=None)
+
+
+def on_mode(v: Vehicle, e: ModeReport) -> Vehicle:
+    """CURRENT_MODE: the one message that the mode is believed from."""
+    return v._replace(t_link_ns=e.t_ns, t_mode_ns=e.t_ns, actual=e.actual, intended=e.intended)
+
+
+def on_attitude(v: Vehicle, e: Attitude) -> Vehicle:
+    """ATTITUDE."""
+    if not (math.isfinite(e.heading_rad) and math.isfinite(e.yaw_rate_rad_s)):
+        return v
+    return v._replace(t_attitude_ns=e.t_ns, heading_rad=e.heading_rad, yaw_rate_rad_s=e.yaw_rate_rad_s)
+
+
+def on_motion(v: Vehicle, e: LocalMotion) -> Vehicle:
+    """LOCAL_POSITION_NED or ODOMETRY."""
+    if not (math.isfinite(e.vx_m_s) and math.isfinite(e.vy_m_s)):
+        return v
+    return v._replace(
+        t_motion_ns=e.t_ns, x_m=e.x_m, y_m=e.y_m, height_m=e.height_m, vx_m_s=e.vx_m_s, vy_m_s=e.vy_m_s
+    )
+
+
+def body_motion(
+    v: Vehicle,
+    before: BodyMotion,
+    commanded: BodyMotion,
+    t_ns: int,
+    dt_s: float,
+    velocity_lag_s: float,
+    yaw_rate_lag_s: float,
+) -> BodyMotion:
+    """The motion now: measured where telemetry is fresh, else the commanded one through a first-order lag."""
+    if v.t_attitude_ns is not None and t_ns - v.t_attitude_ns < _MOTION_FRESH_NS:
+        yaw_rate = v.yaw_rate_rad_s
+    else:
+        yaw_rate = _lag(before.yaw_rate_rad_s, commanded.yaw_rate_rad_s, dt_s, yaw_rate_lag_s)
+    if v.t_motion_ns is not None and t_ns - v.t_motion_ns < _MOTION_FRESH_NS:
+        c, s = math.cos(v.heading_rad), math.sin(v.heading_rad)
+        return BodyMotion(v.vx_m_s * c + v.vy_m_s * s, v.vy_m_s * c - v.vx_m_s * s, yaw_rate)
+    return BodyMotion(
+        _lag(before.forward_m_s, commanded.forward_m_s, dt_s, velocity_lag_s),
+        _lag(before.left_m_s, 0.0, dt_s, velocity_lag_s),
+        yaw_rate,
+    )
+
+
+def _lag(value: float, towards: float, dt_s: float, tau_s: float) -> float:
+    return towards if tau_s <= 0.0 else towards + (value - towards) * math.exp(-dt_s / tau_s)
