@@ -1,8 +1,8 @@
 """The shape that every guidance scheme has, and the values that pass through it.
 
-A scheme is six plain functions over NamedTuples of floats: no clock, no I/O, no arrays, so that the flying
+A scheme is five plain functions over NamedTuples of floats: no clock, no I/O, no arrays, so that the flying
 process runs them as they stand and numba compiles them as they stand for batches. The paper's frame holds
-everywhere (see `companion.types`): yaw rates counter-clockwise positive, θ > 0 means the target is on the right.
+everywhere (see `companion.types`): yaw rates counter-clockwise positive, θ > 0: the target is on the right.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ TRACK = 1
 """Flying to it."""
 REST = 2
 """Inside the capture radius, speed zero."""
+UNKNOWN_M = 1e6
+"""`sigma_d_m` of a `Knowledge` before the first estimate: then its d_m and theta_rad mean nothing."""
 
 
 class Knowledge(NamedTuple):
@@ -44,7 +46,8 @@ class Scheme(NamedTuple):
     - `update(p, s, beacon, range_m, sigma_m, dh_m, sigma_dh_m) -> s`: one slant range from beacon number
       `beacon` (0 for target capture), dh_m = vehicle height − beacon height with its one-sigma;
       `s.accepted` is 1.0 if the innovation gate believed it, else 0.0;
-    - `command(p, s, dt_s, yaw_rate_rad_s) -> (s, Command)`: the yaw rate measured now, dt_s since the last call;
+    - `command(p, s, dt_s, yaw_rate_rad_s) -> (s, Command)`: the yaw rate measured now, dt_s since the last
+      call;
     - `knowledge(p, s) -> Knowledge`.
     """
 

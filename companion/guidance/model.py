@@ -1,0 +1,141 @@
+"""The geometry of one vehicle and one target: Eq. (1) to (7) and (15) to (22) of the paper.
+
+Plain floats, `math` only. Distances are horizontal, in metres; the frame and the signs are those of
+`companion.types`: θ = heading − azimuth of the line of sight, θ > 0 means the target is on the right.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+TWO_PI = 2.0 * math.pi
+NEAR_M = 0.15
+"""Distances below this count as this much wherever something is divided by d."""
+
+
+class Lifted(NamedTuple):
+    """The state x_o = [d²/2, d sin θ, d cos θ] in which motion and measurement are both linear.
+
+    x2 is the right-hand and x3 the forward component of the target's position seen from the vehicle. As an
+    estimate its three entries are free of each other: x1 = (x2² + x3²)/2 need not hold.
+    """
+
+    x1: float
+    x2: float
+    x3: float
+
+
+class Step(NamedTuple):
+    """How the vehicle moved for a short while, in the body axes at its beginning; see `step`."""
+
+    forward_m: float
+    left_m: float
+    cos_turn: float
+    sin_turn: float
+
+
+def wrap(angle_rad: float) -> float:
+    """Bring an angle into (−π, π]. (The [0, 2π) of Eq. (36) would tear the feedback apart at θ = 0.)"""
+    return angle_rad - TWO_PI * math.ceil((angle_rad - math.pi) / TWO_PI)
+
+
+def clip(value: float, bound: float) -> float:
+    """Limit to [−bound, bound]."""
+    return max(-bound, min(bound, value))
+
+
+def pose_rates(heading_rad: float, v_m_s: float, omega_rad_s: float) -> tuple[float, float, float]:
+    """Eq. (1), Eq. (2): rates of x, y (m/s, ENU) and of the heading (rad/s)."""
+    return v_m_s * math.cos(heading_rad), v_m_s * math.sin(heading_rad), omega_rad_s
+
+
+def is_captured(d_m: float, radius_m: float, margin_m: float, was_captured: bool) -> bool:
+    """Eq. (3): True where the speed is 0, False where it is v̄.
+
+    The paper switches at ε exactly. A noisy estimate would make that chatter, and a vehicle that stops on
+    the rim is not inside: it stops at ε − margin, and having stopped goes on beyond ε + margin only.
+    """
+    return d_m <= radius_m + (margin_m if was_captured else -margin_m)
+
+
+def polar_rates(d_m: float, theta_rad: float, v_m_s: float, omega_rad_s: float) -> tuple[float, float]:
+    """Eq. (4), Eq. (5), in state-space form Eq. (6): rates of d and θ; the output Eq. (7) is d itself.
+
+    Erratum: the second entry of f is printed without its fraction bar, it is (v/x1) sin x2. And the bearing
+    of the paper's example, θ_T(0) = 0.68, is the azimuth of the line of sight: θ_T(0) is 0.885.
+    """
+    return -v_m_s * math.cos(theta_rad), omega_rad_s + v_m_s / d_m * math.sin(theta_rad)
+
+
+class Jacobian(NamedTuple):
+    """A = [[0, a], [−b, c]] of the linearised motion."""
+
+    a: float
+    b: float
+    c: float
+
+
+def jacobian(d_m: float, theta_rad: float, v_m_s: float) -> Jacobian:
+    """Eq. (15), Eq. (16), Eq. (17): A = ∂f/∂x = [[0, v s], [−v s/d², v c/d]], s = sin θ, c = cos θ.
+
+    Erratum: Eq. (17) is printed without its fraction bars. The affine rest f(x̂) − A x̂ of Eq. (16) is
+    [−v(c + θ s), v(2s − θ c)/d]; the paper calls it a known disturbance and drops it, and so does `lq`.
+    """
+    d = max(d_m, NEAR_M)
+    s = math.sin(theta_rad)
+    return Jacobian(v_m_s * s, v_m_s * s / (d * d), v_m_s * math.cos(theta_rad) / d)
+
+
+def lift(d_m: float, theta_rad: float) -> Lifted:
+    """The lifted state that belongs to a distance and a bearing."""
+    return Lifted(0.5 * d_m * d_m, d_m * math.sin(theta_rad), d_m * math.cos(theta_rad))
+
+
+def bearing(x: Lifted) -> float:
+    """Eq. (26): θ̂ = ∠[x̂3, x̂2], in (−π, π]; 0 where both are 0."""
+    return wrap(math.atan2(x.x2, x.x3))
+
+
+def distance(x: Lifted) -> float:
+    """d̂ = √(2 x̂1), 0 where x̂1 is negative (which noise makes it, close to the target)."""
+    return math.sqrt(max(2.0 * x.x1, 0.0))
+
+
+def lifted_range(range_m: float, dh_m: float) -> float:
+    """Eq. (22): the output y_o = d²/2, from a slant range and the height above the beacon.
+
+    May be negative: overhead, the noise makes a range shorter than the height.
+    """
+    return 0.5 * (range_m * range_m - dh_m * dh_m)
+
+
+def step(dt_s: float, forward_m_s: float, left_m_s: float, omega_rad_s: float) -> Step:
+    """A motion at constant body velocity and yaw rate: the chord, and the turn.
+
+    The chord lies along the heading at half time, which is exact up to a factor sinc(ω dt/2).
+    """
+    half = 0.5 * omega_rad_s * dt_s
+    c = math.cos(half)
+    s = math.sin(half)
+    return Step(
+        (forward_m_s * c - left_m_s * s) * dt_s,
+        (forward_m_s * s + left_m_s * c) * dt_s,
+        1.0 - 2.0 * s * s,
+        2.0 * s * c,
+    )
+
+
+def flow(x: Lifted, m: Step) -> Lifted:
+    """Eq. (18), Eq. (19), Eq. (20), as one system Eq. (21): ẋ = Ā(ω) x + δ, solved exactly over one step.
+
+    The vehicle moves along its chord, then turns. A velocity w to the left, which the paper has not, adds
+    w x2 to ẋ1 and w to ẋ2.
+    """
+    right = x.x2 + m.left_m
+    ahead = x.x3 - m.forward_m
+    return Lifted(
+        x.x1 - m.forward_m * x.x3 + m.left_m * x.x2 + 0.5 * (m.forward_m**2 + m.left_m**2),
+        m.cos_turn * right + m.sin_turn * ahead,
+        -m.sin_turn * right + m.cos_turn * ahead,
+    )
