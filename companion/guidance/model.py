@@ -139,3 +139,62 @@ def flow(x: Lifted, m: Step) -> Lifted:
         m.cos_turn * right + m.sin_turn * ahead,
         -m.sin_turn * right + m.cos_turn * ahead,
     )
+
+
+def shortest_path_m(d_m: float, theta_rad: float, radius_m: float, v_m_s: float, omega_rad_s: float) -> float:
+    """Length of the shortest path into the disc of `radius_m` around the target, turning at most so tightly.
+
+    The vehicle moves forward at `v_m_s` > 0 and turns at up to `omega_rad_s` > 0 to either side, so that no
+    turn is tighter than ρ = v/ω. This is the bound that every flown path is held against.
+
+    By Pontryagin's principle the heading is worth nothing at the end, which leaves three kinds of path: an
+    arc, then straight towards the centre of the disc; one arc that ends on the disc; and, for a disc inside
+    a turning circle, an arc to the other side and one longer than π back. The shortest of them is meant.
+    """
+    if d_m <= radius_m:
+        return 0.0
+    rho = v_m_s / omega_rad_s
+    ahead = d_m * math.cos(theta_rad)
+    right = d_m * math.sin(theta_rad)
+    # everything once for a first turn to the right and once, mirrored, for one to the left
+    return min(
+        _shortest_turning_right(ahead, right, radius_m, rho),
+        _shortest_turning_right(ahead, -right, radius_m, rho),
+    )
+
+
+def _shortest_turning_right(ahead: float, right: float, radius: float, rho: float) -> float:
+    """The same for paths whose first arc, of any length, turns right; infinite if there is none.
+
+    Seen from the centre of the right-hand turning circle, the vehicle starts at azimuth 0 and moves to
+    growing azimuths (clockwise): a point `out` to the left of that centre and `ahead` of it.
+    """
+    out = rho - right
+    far = math.hypot(ahead, out)
+    toward = math.atan2(ahead, out)
+    best = math.inf
+    # arc, then straight: leave the circle on the tangent that runs through the disc's centre
+    if far * far >= rho * rho + radius * radius:
+        leave = toward - math.acos(rho / far)
+        best = rho * (leave % TWO_PI) + math.sqrt(far * far - rho * rho) - radius
+    # one arc: the first point of the circle that lies on the disc
+    if abs(far - rho) <= radius and far > 0.0:
+        spread = _angle(rho, far, radius)
+        best = min(best, rho * ((toward - spread) % TWO_PI))
+    # two arcs: switch sides at distance m from the target T, where switch, T and end lie on one line in this
+    # order; the power of T with respect to the second circle then is −m radius
+    if far > rho:
+        m = 0.25 * (math.sqrt(radius * radius + 8.0 * (far * far - rho * rho)) - radius)
+        chord = m + radius
+        if chord <= 2.0 * rho and abs(far - rho) <= m <= far + rho:
+            spread = _angle(rho, far, m)
+            back = rho * (TWO_PI - 2.0 * math.asin(chord / (2.0 * rho)))
+            best = min(
+                best, rho * ((toward - spread) % TWO_PI) + back, rho * ((toward + spread) % TWO_PI) + back
+            )
+    return best
+
+
+def _angle(a: float, b: float, opposite: float) -> float:
+    """Angle between the sides a and b of a triangle, from its third side."""
+    return math.acos(clip((a * a + b * b - opposite * opposite) / (2.0 * a * b), 1.0))

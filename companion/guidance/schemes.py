@@ -1,4 +1,4 @@
-"""Target capture (Problem 1 of the paper): an observer and a steering law put together into a `Scheme`.
+"""Target capture (Problem 1 of the paper): an observer and a steering law, put together into a `Scheme`.
 
 Either observer goes with either law. What a scheme does, in order: it stands still until its observer has a
 first estimate; turns at ω̄ for a moment, and again whenever the bearing is too uncertain to steer by (PROBE);
@@ -295,7 +295,7 @@ _COMMANDS: dict[tuple[str, str], Callable[..., tuple[Any, Command]]] = {
 }
 
 
-def parameters(settings: GuidanceSettings) -> Parameters:
+def parameters(settings: GuidanceSettings, yaw_rate_lag_s: float) -> Parameters:
     """The settings as floats."""
     is_kalman = settings.observer == "kalman"
     q1, q2 = settings.lq_q if settings.controller == "lq" else settings.lq_paper_q
@@ -304,7 +304,7 @@ def parameters(settings: GuidanceSettings) -> Parameters:
         omega_max=settings.yaw_rate_max_rad_s,
         radius=settings.capture_radius_m,
         stop_margin=settings.stop_margin_m,
-        lag=settings.yaw_rate_lag_s,
+        lag=yaw_rate_lag_s,
         first_turn=1.0 if settings.first_turn == "left" else -1.0,
         probe_turn_s=settings.probe_turn_s,
         # the paper's observer tells no sigma to probe by
@@ -323,18 +323,13 @@ def parameters(settings: GuidanceSettings) -> Parameters:
     )
 
 
-def capture(settings: GuidanceSettings) -> Scheme:
-    """The scheme that the settings select. It knows one beacon: the beacon number of a range is ignored."""
+def capture(settings: GuidanceSettings, yaw_rate_lag_s: float) -> Scheme:
+    """The scheme that the settings select, for a vehicle whose yaw rate lags its command by yaw_rate_lag_s.
+
+    It knows one beacon: the beacon number of a range is ignored.
+    """
+    p = parameters(settings, yaw_rate_lag_s)
     command = _COMMANDS[settings.observer, settings.controller]
     if settings.observer == "kalman":
-        return Scheme(
-            parameters(settings), kalman_initial, kalman_predict, kalman_update, command, kalman_knowledge
-        )
-    return Scheme(
-        parameters(settings),
-        luenberger_initial,
-        luenberger_predict,
-        luenberger_update,
-        command,
-        luenberger_knowledge,
-    )
+        return Scheme(p, kalman_initial, kalman_predict, kalman_update, command, kalman_knowledge)
+    return Scheme(p, luenberger_initial, luenberger_predict, luenberger_update, command, luenberger_knowledge)
