@@ -45,10 +45,8 @@ class RangesSettings(Table, frozen=True):
     """Second part of the key `uwb/v1/{site}/{beacon}/{tag}/range`."""
     tag: Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^([A-Za-z0-9_.\-]+|\*)$")] = "*"
     """This vehicle's UWB tag; `*` takes the ranges of every tag of the site."""
-    mode: Literal["peer", "client"] = "peer"
-    """Zenoh mode: `client` where there is a router."""
     connect: tuple[str, ...] = ()
-    """Zenoh endpoints to connect to, such as `tcp/192.168.1.10:7447`."""
+    """Zenoh endpoints (a router or beacons) to connect to, such as `tcp/192.168.1.10:7447`."""
     listen: tuple[str, ...] = ()
     """Zenoh endpoints to listen on, such as `tcp/0.0.0.0:7447`."""
     multicast_scouting: bool = False

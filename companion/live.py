@@ -1,0 +1,76 @@
+"""Live events: the ranges, the vehicle and the clock, in the order in which they come, on one thread."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+
+from companion.link.mavlink import VehicleLink
+from companion.link.zenoh_ranges import RangeLink
+from companion.types import Event, StopRequest, Tick
+
+TICK_NS = 10_000_000
+"""Resolution of timeouts and of the stream's minimum rate."""
+
+
+class Bell:
+    """Wakes the loop from another thread or a signal handler."""
+
+    def __init__(self) -> None:
+        self._reader, self._writer = socket.socketpair()
+        self._reader.setblocking(False)
+        self._writer.setblocking(False)
+        self.stop_asked = False
+
+    def ring(self) -> None:
+        """Wake the loop; a full pipe means that it is awake already."""
+        with suppress(BlockingIOError):
+            self._writer.send(b"\0")
+
+    def ask_stop(self) -> None:
+        """Wake the loop and end the flight in an orderly way."""
+        self.stop_asked = True
+        self.ring()
+
+    def fileno(self) -> int:
+        """The descriptor to wait on."""
+        return self._reader.fileno()
+
+    def silence(self) -> None:
+        """Take back all rings so far."""
+        with suppress(BlockingIOError):
+            while self._reader.recv(4096):
+                pass
+
+    def close(self) -> None:
+        """Free both ends."""
+        self._reader.close()
+        self._writer.close()
+
+
+def live(vehicle: VehicleLink, ranges: RangeLink, bell: Bell) -> Iterator[Event]:
+    """Every event of a real flight, for as long as it is asked for.
+
+    A range or a telemetry message is yielded as soon as it arrives; a tick after every pause, and at least
+    every `TICK_NS`. Whoever iterates more slowly gets fewer ticks, never a backlog of them.
+    """
+    with selectors.DefaultSelector() as selector:
+        selector.register(vehicle.fileno(), selectors.EVENT_READ)
+        selector.register(bell.fileno(), selectors.EVENT_READ)
+        next_tick_ns = 0
+        stopped = False
+        while True:
+            selector.select(max(0.0, (next_tick_ns - time.monotonic_ns()) * 1e-9))
+            bell.silence()
+            yield from ranges.receive()
+            yield from vehicle.receive()
+            now_ns = time.monotonic_ns()
+            if bell.stop_asked and not stopped:
+                stopped = True
+                yield StopRequest(t_ns=now_ns)
+            if now_ns >= next_tick_ns:
+                next_tick_ns = now_ns + TICK_NS
+                yield Tick(t_ns=now_ns)
