@@ -53,10 +53,10 @@ def pose_rates(heading_rad: float, v_m_s: float, omega_rad_s: float) -> tuple[fl
 def is_captured(d_m: float, radius_m: float, margin_m: float, was_captured: bool) -> bool:
     """Eq. (3): True where the speed is 0, False where it is v̄.
 
-    The paper switches at ε exactly. A noisy estimate would make that chatter, and a vehicle that stops on
-    the rim is not inside: it stops at ε − margin, and having stopped goes on beyond ε + margin only.
+    The paper switches at ε exactly, where a noisy estimate chatters and may stop the vehicle outside. Here it
+    stops at ε − margin, and goes on if the estimate, which gets better at rest, turns out to be beyond ε.
     """
-    return d_m <= radius_m + (margin_m if was_captured else -margin_m)
+    return d_m <= (radius_m if was_captured else radius_m - margin_m)
 
 
 def polar_rates(d_m: float, theta_rad: float, v_m_s: float, omega_rad_s: float) -> tuple[float, float]:
