@@ -29,7 +29,8 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     capture_radius_m: Annotated[float, Meta(gt=0.0, le=50.0)] = 0.5
     """The target is captured within this horizontal distance, ε of the paper."""
     stop_margin_m: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
-    """Stop when the estimated distance is below the capture radius minus this; go on if it is above the radius."""
+    """Stop where the estimated distance is below the capture radius minus this; go on where it is above the
+    radius."""
     first_turn: Literal["left", "right"] = "left"
     """Side of the probing turn while nothing is known of the bearing."""
     probe_turn_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.5
