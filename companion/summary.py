@@ -152,7 +152,7 @@ def summarise(log: FlightLog, problem: Problem) -> Summary:
         shortest_m = shortest_from_m(start, *target, problem)
     return Summary(
         captured=last.captured,
-        ending=log.changes[-1].reason if log.changes else last.reason,
+        ending=_ending(log, last),
         time_s=time_s,
         path_m=path_m,
         shortest_m=shortest_m,
@@ -250,6 +250,15 @@ def _engagement_ns(log: FlightLog) -> tuple[int | None, int | None]:
     if log.last.captured and hold is not None:
         return begin, hold
     return begin, end if end is not None else max(begin, log.last.t_ns)
+
+
+def _ending(log: FlightLog, last: Status) -> str:
+    """Why the last engagement ended; where there was none, what was told last."""
+    steering = [c for c in log.changes if c.before.is_engaged and c.before is not Phase.HAND_OVER]
+    for change in reversed(steering):
+        if change.after is Phase.HAND_OVER or not change.after.is_engaged:
+            return change.reason
+    return last.reason
 
 
 def _path_at_m(statuses: list[Status], t_ns: int) -> float:

@@ -1,0 +1,305 @@
+"""A flight as one picture: the map, and what was known and commanded over time.
+
+Matplotlib is imported when a picture is drawn (it comes with `companion[design]`), never in the flying loop.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from companion.summary import FlightReport, PhaseSpan, Pose, Problem, TrailPoint
+from companion.types import Phase
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WIDTH_IN, HEIGHT_IN, DPI = 12.4, 7.0, 110
+ARC_STEP_RAD = 0.05
+
+_COLOUR = {
+    Phase.ACQUIRE: "#3a7ebf",
+    Phase.APPROACH: "#d1495b",
+    Phase.HOLD: "#2f9e62",
+    Phase.COAST: "#e6a117",
+    Phase.STALL: "#7b5ea7",
+    Phase.HAND_OVER: "#4d4d4d",
+}
+_OTHER = "#b8bdc4"
+_INK = "#22262b"
+_FAINT = "#8a9099"
+_ESTIMATE = "#1b1f24"
+
+
+class PictureError(Exception):
+    """A picture cannot be drawn: Matplotlib is missing, or there is no position to draw."""
+
+
+class Truth(NamedTuple):
+    """What a simulation knows besides: the true path and the true target, in the local frame, metres."""
+
+    path: Sequence[tuple[float, float]]
+    target: tuple[float, float]
+
+
+def draw_flight(path: Path, flight: FlightReport, truth: Truth | None = None) -> None:
+    """Write the picture of a flight as PNG.
+
+    Raises `PictureError` where Matplotlib is not installed or no position is known, `OSError` where the file
+    cannot be written.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise PictureError(f"Matplotlib is missing ({error}): pip install 'companion[design]'") from error
+    trail = _engaged_trail(flight)
+    if not any(p.x_m is not None for p in trail):
+        raise PictureError("no position of the vehicle is known")
+    figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), wspace=0.05)
+    figure.suptitle(headline(flight), fontsize=14, fontweight="bold", color=_INK, x=0.012, ha="left")
+    _map(figure.add_subplot(grid[:, 0]), flight, trail, truth)
+    first = figure.add_subplot(grid[0, 1])
+    others = [figure.add_subplot(grid[row, 1], sharex=first) for row in (1, 2)]
+    _distances(first, flight, trail)
+    _bearing(others[0], trail)
+    _commands(others[1], trail)
+    for axes in (first, *others):
+        _bands(axes, flight.phases, trail[0].t_s, trail[-1].t_s)
+        axes.tick_params(labelbottom=axes is others[1])
+    others[1].set_xlabel("seconds since OFFBOARD was selected", color=_INK, fontsize=9)
+    figure.savefig(path, format="png", facecolor="white")
+
+
+def headline(flight: FlightReport) -> str:
+    """The flight in one line."""
+    s = flight.summary
+    parts = ["Target captured" if s.captured else "Target not captured"]
+    if s.time_s is not None and s.path_m is not None:
+        parts.append(f"{s.time_s:.1f} s, {s.path_m:.2f} m flown")
+    if s.path_ratio is not None:
+        parts.append(f"{s.path_ratio:.2f} × the shortest path")
+    return "  ·  ".join(parts)
+
+
+def shortest_path(start: Pose, target: tuple[float, float], problem: Problem) -> list[tuple[float, float]]:
+    """Points of the shortest path from a pose into the disc around the target, if it is of these kinds:
+    an arc and a straight line towards the centre, or one arc alone. Empty where it takes two arcs.
+    """
+    rho = problem.speed_m_s / problem.yaw_rate_rad_s
+    found = [_arc_and_line(start, target, problem.radius_m, rho, side) for side in (1.0, -1.0)]
+    return min((points for points in found if points), key=_length, default=[])
+
+
+def _length(points: Sequence[tuple[float, float]]) -> float:
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(points))
+
+
+def _arc_and_line(
+    start: Pose, target: tuple[float, float], radius_m: float, rho: float, side: float
+) -> list[tuple[float, float]]:
+    """Turn to a side (1 left, −1 right) until the centre is ahead or the disc is reached; then straight."""
+    cx = start.x_m - side * rho * math.sin(start.heading_rad)
+    cy = start.y_m + side * rho * math.cos(start.heading_rad)
+    points = [(start.x_m, start.y_m)]
+    turned = 0.0
+    while math.dist(points[-1], target) > radius_m:
+        heading = start.heading_rad + side * turned
+        x, y = points[-1]
+        off = math.remainder(math.atan2(target[1] - y, target[0] - x) - heading, math.tau) * side
+        if 0.0 <= off <= ARC_STEP_RAD:
+            away = math.dist((x, y), target)
+            share = (away - radius_m) / away
+            return [*points, (x + share * (target[0] - x), y + share * (target[1] - y))]
+        turned += ARC_STEP_RAD
+        if turned > math.tau:
+            return []
+        heading = start.heading_rad + side * turned
+        points.append((cx + side * rho * math.sin(heading), cy - side * rho * math.cos(heading)))
+    return points
+
+
+# ------------------------------------------------------------------------------------------------ the map
+
+
+def _map(axes: Axes, flight: FlightReport, trail: Sequence[TrailPoint], truth: Truth | None) -> None:
+    from matplotlib.patches import Circle
+
+    s, radius_m = flight.summary, flight.problem.radius_m
+    if truth is not None:
+        axes.plot(*zip(*truth.path, strict=True), color=_FAINT, lw=1.0, zorder=2, label="true path")
+        axes.plot(
+            *truth.target,
+            marker="*",
+            ms=15,
+            color="#f2b705",
+            mec=_INK,
+            mew=0.8,
+            ls="",
+            zorder=6,
+            label="true target",
+        )
+        axes.add_patch(Circle(truth.target, radius_m, fc="#f2b705", alpha=0.16, ec="none", zorder=1))
+    if s.target_x_m is not None and s.target_y_m is not None:
+        target = (s.target_x_m, s.target_y_m)
+        axes.plot(
+            *target,
+            marker="x",
+            ms=8,
+            mew=1.8,
+            color=_ESTIMATE,
+            ls="",
+            zorder=7,
+            label="target, estimated last",
+        )
+        axes.add_patch(
+            Circle(target, radius_m, fill=False, ec=_ESTIMATE, lw=1.1, zorder=3, label="capture radius")
+        )
+        shortest = shortest_path(s.start, target, flight.problem) if s.start is not None else []
+        if shortest:
+            axes.plot(
+                *zip(*shortest, strict=True),
+                color=_INK,
+                ls=(0, (4, 3)),
+                lw=1.2,
+                zorder=4,
+                label=f"shortest path, {s.shortest_m:.2f} m" if s.shortest_m else "shortest path",
+            )
+    for phase, xs, ys in _runs(trail):
+        axes.plot(xs, ys, color=_COLOUR.get(phase, _OTHER), lw=2.8, solid_capstyle="round", zorder=5)
+    start = s.start or _first_pose(trail)
+    if start is not None:
+        nose = (start.x_m + 0.9 * math.cos(start.heading_rad), start.y_m + 0.9 * math.sin(start.heading_rad))
+        arrow = {"arrowstyle": "-|>", "lw": 1.6, "color": _INK, "mutation_scale": 16}
+        axes.annotate("", xy=nose, xytext=(start.x_m, start.y_m), zorder=8, arrowprops=arrow)
+        axes.plot(start.x_m, start.y_m, "o", ms=6, color="white", mec=_INK, mew=1.5, zorder=9)
+        axes.annotate(
+            "start",
+            (start.x_m, start.y_m),
+            textcoords="offset points",
+            xytext=(-8, -14),
+            fontsize=9,
+            color=_INK,
+            ha="right",
+        )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.set_xlabel("East, m", color=_INK, fontsize=9)
+    axes.set_ylabel("North, m", color=_INK, fontsize=9)
+    _dress(axes)
+    handles, labels = axes.get_legend_handles_labels()
+    for phase in dict.fromkeys(p.phase for p in trail if p.phase.is_engaged):
+        handles += axes.plot([], [], color=_COLOUR.get(phase, _OTHER), lw=2.8)
+        labels.append(phase.value)
+    axes.legend(handles, labels, fontsize=8.5, frameon=False, ncols=4, loc="upper center",
+                bbox_to_anchor=(0.5, -0.085), columnspacing=1.4, handlelength=1.8)  # fmt: skip
+
+
+def _runs(trail: Sequence[TrailPoint]) -> list[tuple[Phase, list[float], list[float]]]:
+    """The path cut where the phase changes, each piece beginning where the one before ended."""
+    runs: list[tuple[Phase, list[float], list[float]]] = []
+    for p in trail:
+        if p.x_m is None or p.y_m is None:
+            continue
+        if not runs or runs[-1][0] is not p.phase:
+            before = [(runs[-1][1][-1], runs[-1][2][-1])] if runs else []
+            runs.append((p.phase, [x for x, _ in before], [y for _, y in before]))
+        runs[-1][1].append(p.x_m)
+        runs[-1][2].append(p.y_m)
+    return runs
+
+
+def _first_pose(trail: Sequence[TrailPoint]) -> Pose | None:
+    for p in trail:
+        if p.x_m is not None and p.y_m is not None and p.heading_rad is not None:
+            return Pose(p.x_m, p.y_m, p.heading_rad)
+    return None
+
+
+# ---------------------------------------------------------------------------------------------- over time
+
+
+def _engaged_trail(flight: FlightReport) -> Sequence[TrailPoint]:
+    """From the first to the last engaged point with a second around them; all of it if it never engaged."""
+    engaged = [p.t_s for p in flight.trail if p.phase.is_engaged]
+    if not engaged:
+        return flight.trail
+    first, last = max(engaged[0], 0.0) - 1.0, engaged[-1] + 1.0
+    return [p for p in flight.trail if first <= p.t_s <= last]
+
+
+def _distances(axes: Axes, flight: FlightReport, trail: Sequence[TrailPoint]) -> None:
+    t = [p.t_s for p in trail]
+    axes.plot(t, _values([p.range_m for p in trail]), ".", ms=3, color=_FAINT, label="range (slant)")
+    d = _values([p.distance_m for p in trail])
+    sigma = _values([p.distance_sigma_m for p in trail])
+    axes.fill_between(
+        t, [max(a - 2 * b, 0.0) for a, b in zip(d, sigma, strict=True)],
+        [a + 2 * b for a, b in zip(d, sigma, strict=True)], color="#3a7ebf", alpha=0.22, lw=0,
+    )  # fmt: skip
+    axes.plot(t, d, color="#1f5a94", lw=1.6, label="distance ± 2σ")
+    axes.axhline(flight.problem.radius_m, color=_INK, lw=0.9, ls=(0, (4, 3)), label="capture radius")
+    top = max((v for p in trail for v in (p.range_m, p.distance_m) if v is not None), default=1.0)
+    axes.set_ylim(0.0, 1.08 * top)
+    _title(axes, "distance, m")
+
+
+def _bearing(axes: Axes, trail: Sequence[TrailPoint]) -> None:
+    t = [p.t_s for p in trail]
+    theta = [math.degrees(v) for v in _values([p.bearing_rad for p in trail])]
+    sigma = [math.degrees(v) for v in _values([p.bearing_sigma_rad for p in trail])]
+    low = [max(a - 2 * b, -180.0) for a, b in zip(theta, sigma, strict=True)]
+    high = [min(a + 2 * b, 180.0) for a, b in zip(theta, sigma, strict=True)]
+    axes.fill_between(t, low, high, color="#d1495b", alpha=0.2, lw=0)
+    for i in range(1, len(theta)):  # no line across the jump from 180° to −180°
+        if abs(theta[i] - theta[i - 1]) > 180.0:
+            theta[i - 1] = math.nan
+    axes.plot(t, theta, color="#a52f42", lw=1.6, label="bearing ± 2σ, right positive")
+    axes.axhline(0.0, color=_INK, lw=0.6)
+    axes.set_ylim(-180.0, 180.0)
+    axes.set_yticks((-180, -90, 0, 90, 180))
+    _title(axes, "bearing, °")
+
+
+def _commands(axes: Axes, trail: Sequence[TrailPoint]) -> None:
+    t = [p.t_s for p in trail]
+    axes.step(
+        t, _values([p.speed_m_s for p in trail]), where="post", color="#2f9e62", lw=1.6, label="speed, m/s"
+    )
+    axes.step(
+        t, _values([p.yaw_rate_rad_s for p in trail]), where="post", color="#7b5ea7", lw=1.3,
+        label="yaw rate, rad/s, left positive",
+    )  # fmt: skip
+    axes.axhline(0.0, color=_INK, lw=0.6)
+    axes.margins(y=0.12)
+    _title(axes, "commanded")
+
+
+def _bands(axes: Axes, phases: Sequence[PhaseSpan], first_s: float, last_s: float) -> None:
+    for span in phases:
+        left, right = max(span.from_s, first_s), min(span.to_s, last_s)
+        if left < right and span.phase in _COLOUR:
+            axes.axvspan(left, right, color=_COLOUR[span.phase], alpha=0.10, lw=0, zorder=0)
+    axes.set_xlim(first_s, max(last_s, first_s + 1.0))
+
+
+def _values(values: Sequence[float | None]) -> list[float]:
+    return [math.nan if v is None else v for v in values]
+
+
+def _title(axes: Axes, name: str) -> None:
+    axes.set_ylabel(name, color=_INK, fontsize=9)
+    _dress(axes)
+    axes.legend(fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3,
+                borderaxespad=0.1, handlelength=1.6, columnspacing=1.2)  # fmt: skip
+
+
+def _dress(axes: Axes) -> None:
+    axes.grid(color="#e3e6ea", lw=0.7, zorder=0)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(_FAINT)
+    axes.tick_params(colors=_INK, labelsize=8.5, length=3)
