@@ -1,8 +1,8 @@
 """How the autopilot flies its modes: from targets and its own estimate to what the vehicle is commanded.
 
-The autopilot regulates its estimate, not the truth: the plant's input is the wanted velocity minus the error of
-the estimated one, so a biased estimate moves the vehicle. That is why a height that is held in the local frame
-keeps the estimate's place, and a bare zero climb rate drifts.
+The autopilot regulates its estimate, not the truth: the plant's input is the wanted velocity minus the
+error of the estimated one, so a biased estimate moves the vehicle. That is why a height that is held in the
+local frame keeps the estimate in place, and a bare zero climb rate drifts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _STANDSTILL_M_S = 0.1
 _CRAWL_HEIGHT_M = 0.68
 """Below this the landing crawls, recorded."""
 _RETURN_REACHED_M = 0.5
-# The shares of MPC_TKO_RAMP_T after which the vehicle begins to rise, and in which it gets to speed, recorded.
+# Shares of MPC_TKO_RAMP_T: after the first the vehicle rises, within the second it gets to speed; recorded.
 _RAMP_START, _RAMP_RISE = 0.62, 0.53
 
 
@@ -118,7 +118,7 @@ class Autopilot:
             self._returned = False
 
     def fly(self, mode: Mode, landed: bool, spooled: bool) -> bool:
-        """Command the vehicle for one step. True where it leaves, or left, the ground under a wish to climb."""
+        """Command the vehicle for one step. True where it is off the ground, or leaves it, by its will."""
         vehicle, errors = self._vehicle, self._errors
         vx, vy, climb, yaw_rate = self._wanted(mode)
         self.climbing = climb > 0.05

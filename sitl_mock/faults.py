@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Fault(Enum):
-    """Everything that can be switched on. A fault lasts until it is switched off, unless it says otherwise."""
+    """Everything that can be switched on; it lasts until it is switched off, unless it says otherwise."""
 
     RANGE_LOSS = "range-loss"
     """No beacon is heard."""
@@ -38,9 +38,9 @@ class Fault(Enum):
     BATTERY_LOW = "battery-low"
     """The battery is at its critical level; COM_LOW_BAT_ACT says what happens."""
     RC_SWITCH = "rc-switch"
-    """Once: a pilot's switch selects POSCTL. While on, a radio control is there."""
+    """Once: a pilot's switch selects POSCTL. While this or the next is on, a radio control is there."""
     RC_STICKS = "rc-sticks"
-    """Once: a pilot moves the sticks; COM_RC_OVERRIDE says whether that takes over. While on, radio control is there."""
+    """Once: a pilot moves the sticks; COM_RC_OVERRIDE says whether that takes over."""
     REBOOT = "reboot"
     """Once: the autopilot restarts (motors stop, silence for two seconds, clock and modes begin anew)."""
     DISARM = "disarm"

@@ -26,7 +26,7 @@ DEFAULTS: dict[str, int | float] = {
     "RTL_RETURN_ALT": 60.0,  # m, at most
     "SYS_AUTOSTART": 10040,
 }
-"""PX4's defaults (COM_RCL_EXCEPT as set for flying without radio control). Integers are INT32, floats REAL32."""
+"""PX4's defaults (COM_RCL_EXCEPT as set for flying without radio control): int is INT32, float REAL32."""
 
 
 class Params:

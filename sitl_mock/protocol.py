@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from enum import Enum
-from math import cos, isnan, pi, sin
+from math import cos, isfinite, pi, sin
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mavlink
@@ -25,6 +25,16 @@ _FORCE_DISARM = 21196.0
 _PARAMS_PER_STEP = 5
 # Type-mask bits of SET_POSITION_TARGET_LOCAL_NED.
 _POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _YAW_RATE = 0x007, 0x038, 0x1C0, 0x200, 0x400, 0x800
+
+
+def _number(value: float) -> int:
+    """A whole number in a float field; -1 for what is none."""
+    return round(value) if isfinite(value) else -1
+
+
+def _told(value: float, ignored: int) -> float | None:
+    """A setpoint's field: None where the mask ignores it, or where it is not a number, as PX4 has it."""
+    return None if ignored or not isfinite(value) else value
 
 
 class Link(Enum):
@@ -183,7 +193,7 @@ class Protocol:
             self._say(f"coordinate frame {m.coordinate_frame} unsupported")
             return
         mask = m.type_mask
-        if mask & _FORCE and not mask & _ACCELERATION == _ACCELERATION:
+        if mask & _FORCE and mask & _ACCELERATION != _ACCELERATION:
             self._say("force not supported")
             return
         body = m.coordinate_frame == mavlink.MAV_FRAME_BODY_NED
@@ -198,20 +208,19 @@ class Protocol:
         self.px4.say_critical(f"SET_POSITION_TARGET_LOCAL_NED: {what}")
 
     def _yaw(self, m: Message) -> tuple[float | None, float | None]:
-        heading = None if m.type_mask & _YAW else wrap(pi / 2 - m.yaw)
-        rate = None if m.type_mask & _YAW_RATE else -m.yaw_rate
-        return heading, rate
+        yaw, rate = _told(m.yaw, m.type_mask & _YAW), _told(-m.yaw_rate, m.type_mask & _YAW_RATE)
+        return None if yaw is None else wrap(pi / 2 - yaw), rate
 
     def _local_target(self, m: Message) -> Target:
         mask = m.type_mask
         heading, yaw_rate = self._yaw(m)
         return Target(
-            x_m=None if mask & 2 else m.y,
-            y_m=None if mask & 1 else m.x,
-            height_m=None if mask & 4 else -m.z,
-            vx_m_s=None if mask & 16 else m.vy,
-            vy_m_s=None if mask & 8 else m.vx,
-            climb_m_s=None if mask & 32 else -m.vz,
+            x_m=_told(m.y, mask & 2),
+            y_m=_told(m.x, mask & 1),
+            height_m=_told(-m.z, mask & 4),
+            vx_m_s=_told(m.vy, mask & 16),
+            vy_m_s=_told(m.vx, mask & 8),
+            climb_m_s=_told(-m.vz, mask & 32),
             heading_rad=heading,
             yaw_rate_rad_s=yaw_rate,
         )
@@ -219,7 +228,7 @@ class Protocol:
     def _body_target(self, m: Message) -> Target:
         """BODY_NED: turned by the estimated yaw now; all three velocities or none."""
         heading, yaw_rate = self._yaw(m)
-        if m.type_mask & _VELOCITY:
+        if m.type_mask & _VELOCITY or not isfinite(m.vx + m.vy + m.vz):
             return Target(heading_rad=heading, yaw_rate_rad_s=yaw_rate)
         now = self.px4.autopilot.heading_rad
         forward, left = m.vx, -m.vy
@@ -243,7 +252,7 @@ class Protocol:
         px4, command = self.px4, m.command
         long = m.get_type() == "COMMAND_LONG"
         if command == mavlink.MAV_CMD_DO_SET_MODE:
-            mode = BY_CUSTOM.get((round(m.param2), round(m.param3)))
+            mode = BY_CUSTOM.get((_number(m.param2), _number(m.param3)))
             return Result.DENIED if mode is None else px4.set_mode(mode)
         if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             if m.param1 >= 0.5:
@@ -251,20 +260,20 @@ class Protocol:
             return px4.disarm(force=m.param2 == _FORCE_DISARM)
         if command == mavlink.MAV_CMD_NAV_TAKEOFF:
             altitude = m.param7 if long else m.z
-            return px4.take_off(None if isnan(altitude) else altitude - ORIGIN_ALTITUDE_M)
+            return px4.take_off(altitude - ORIGIN_ALTITUDE_M if isfinite(altitude) else None)
         if command == mavlink.MAV_CMD_NAV_LAND:
             return px4.set_mode(Mode.LAND)
         if command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
             return px4.set_mode(Mode.RTL)
         if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-            return self._set_interval(link, round(m.param1), m.param2)
+            return self._set_interval(link, _number(m.param1), m.param2)
         if command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-            stream = self._streams[link].get(round(m.param1))
+            stream = self._streams[link].get(_number(m.param1))
             interval = -1 if stream is None else round(stream.interval * STEP_S * 1e6)
-            self._send(link, mavlink.MAVLink_message_interval_message(round(m.param1), interval))
+            self._send(link, mavlink.MAVLink_message_interval_message(_number(m.param1), interval))
             return Result.ACCEPTED
         if command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-            return self._request(link, round(m.param1))
+            return self._request(link, _number(m.param1))
         if command == mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
             return self._request(link, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         if command == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN and m.param1 >= 0.5:
@@ -282,7 +291,7 @@ class Protocol:
             return Result.ACCEPTED  # recorded: its rate cannot be changed
         streams = self._streams[link]
         default = (ONBOARD_HZ if link is Link.ONBOARD else GCS_HZ).get(message_id)
-        rate = default if interval_us == 0 else None if interval_us < 0 else 1e6 / interval_us
+        rate = default if interval_us == 0 else 1e6 / interval_us if interval_us > 0 else None
         streams.pop(message_id, None)
         if rate is not None:
             streams[message_id] = _Stream(rate, self._steps)

@@ -1,7 +1,7 @@
 """The autopilot's rules, sans I/O: modes, arming, take-off, landing, OFFBOARD and its failsafes.
 
-This is the one place where they live: `world.py` flies it on a virtual clock, `protocol.py` puts it on MAVLink.
-Time is a count of fixed steps. What real PX4 does was recorded from version 1.17 alpha in its SIH simulation.
+This is the one place where they live: `world.py` flies it on a virtual clock, `protocol.py` puts it on
+MAVLink. Time is a count of fixed steps. "Recorded" means: from a PX4 1.17 alpha in its own SIH simulation.
 Frames as everywhere: x East, y North, height up, heading counter-clockwise from East.
 """
 
@@ -207,7 +207,7 @@ class Px4:
         return Result.ACCEPTED
 
     def take_off(self, height_m: float | None) -> Result:
-        """NAV_TAKEOFF to this local height, or by MIS_TAKEOFF_ALT; arming, before or after, is a command of its own."""
+        """NAV_TAKEOFF to this local height, or by MIS_TAKEOFF_ALT. It does not arm."""
         result = self.set_mode(Mode.TAKEOFF)
         if result is Result.ACCEPTED:
             self.autopilot.set_take_off(height_m)

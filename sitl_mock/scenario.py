@@ -36,7 +36,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Height at which a simulated flight begins (the wire mock starts on the ground)."""
     start_heading_rad: float = 1.5707963267948966
     random_start: bool = False
-    """Draw the heading uniformly and the distance to the first beacon from start_distance_m for every seed."""
+    """Draw the heading, and the distance to the first beacon from `start_distance_m`, for every seed."""
     start_distance_m: tuple[Positive, Positive] = (3.0, 30.0)
 
     yaw_rate_lag_s: NonNegative = 0.306
@@ -56,9 +56,9 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     drift_y_m_s: float = 0.0
     """True motion that the autopilot does not know of (a constant bias of its velocity estimate)."""
     telemetry: TelemetryKind = "quiet"
-    """Errors of the autopilot's estimate: none, as recorded with quiet sensors, with stock ones; or not told at all."""
+    """Errors of the autopilot's estimate: none, as with quiet sensors, as with stock ones; or never told."""
     remote_control: bool = False
-    """A radio control is there: its modes can be entered, and are the default fallback after a lost stream."""
+    """A radio control is there: its modes can be entered, and are the fallback after a lost stream."""
 
     range_rate_hz: Positive = 20.0
     range_sigma_m: NonNegative = 0.07

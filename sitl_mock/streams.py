@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import cos, degrees, nan, pi, radians, sin
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from pymavlink.dialects.v20 import development as mavlink
 
@@ -32,7 +32,8 @@ _BATTERY_FULL_V, _BATTERY_LOW = 16.2, 0.05
 _UNKNOWN_COVARIANCE = [nan] * 21
 _HARDWARE_UID = list(b"sitl-mock\0\0\0\0\0\0\0\0\0")
 
-Message = mavlink.MAVLink_message
+Message: TypeAlias = Any
+"""A `mavlink.MAVLink_message`: pymavlink has no types."""
 
 
 class View(NamedTuple):
@@ -288,8 +289,8 @@ def _ping(_: Px4, s: View) -> Message:
 
 def _highres_imu(_: Px4, s: View) -> Message:
     return mavlink.MAVLink_highres_imu_message(
-        s.time_us, 0.0, 0.0, -9.81, 0.0, 0.0, s.yaw_rate, 0.2, 0.0, 0.4, 955.0, 0.0, ORIGIN_ALTITUDE_M - s.down,
-        25.0, 0x1FFF,
+        s.time_us, 0.0, 0.0, -9.81, 0.0, 0.0, s.yaw_rate, 0.2, 0.0, 0.4, 955.0, 0.0,
+        ORIGIN_ALTITUDE_M - s.down, 25.0, 0x1FFF,
     )  # fmt: skip
 
 

@@ -41,7 +41,7 @@ class Beacon:
         self._start()
 
     def measure(self, x_m: float, y_m: float, height_m: float) -> Range | None:
-        """Measure from here; None where this measurement is lost. The sequence number counts lost ones too."""
+        """Measure from here; None where the measurement is lost. The sequence number counts lost ones too."""
         s, random = self._scenario, self._random
         restart = self._faults.active(Fault.BEACON_RESTART)
         if restart and not self._restarted:

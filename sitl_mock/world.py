@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from math import cos, hypot, pi, sin
 from random import Random
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from companion.types import (
     VehicleHeartbeat,
 )
 from sitl_mock.autopilot import Target
+from sitl_mock.clock import Clock
 from sitl_mock.faults import Fault, FaultAt, Faults
 from sitl_mock.modes import BY_NAME, WIRE, Mode
 from sitl_mock.params import Params
@@ -52,24 +54,6 @@ class TruthSample(NamedTuple):
     speed_m_s: float
     distance_m: float
     """Horizontal distance to the first beacon."""
-
-
-class Clock:
-    """Says when something at a steady rate is due on a grid of steps."""
-
-    __slots__ = ("_interval", "_next")
-
-    def __init__(self, rate_hz: float, phase: float = 0.0) -> None:
-        self._interval = 1.0 / (rate_hz * STEP_S)
-        self._next = 1.0 + phase * self._interval
-
-    def due(self, step: int) -> int:
-        """How often since the last call."""
-        count = 0
-        while self._next <= step:
-            self._next += self._interval
-            count += 1
-        return count
 
 
 def start_pose(scenario: Scenario, seed: int) -> tuple[float, float, float]:
@@ -200,10 +184,10 @@ class World:
                 yield Tick(t_ns)
 
     def path_length_m(self, until_s: float | None = None, since_s: float = 0.0) -> float:
-        """Horizontal path flown between two times (by default: from the beginning until now), from the truth."""
+        """Horizontal path flown between two times, by default from the beginning until now; the truth."""
         last = until_s if until_s is not None else self.t_s
         inside = [p for p in self.truth if since_s <= p.t_s <= last]
-        return sum(hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in zip(inside, inside[1:], strict=False))
+        return sum(hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(inside))
 
     def _person(self) -> None:
         since = self._stream_since

@@ -1,0 +1,284 @@
+"""The mock in real time: the autopilot on MAVLink 2 over UDP, the beacons on Zenoh, in one thread.
+
+The loop waits on its sockets until the next step is due. After a stall it catches up, but never by more than
+half a second: what was lost is lost.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import TextIO
+
+import msgspec
+import zenoh
+from pymavlink.dialects.v20 import development as mavlink
+
+from companion.types import LineOfSight
+from companion.wire_range import RangeMessage, encode, range_key
+from sitl_mock.clock import Clock
+from sitl_mock.faults import Fault, FaultAt, Faults
+from sitl_mock.modes import WIRE
+from sitl_mock.params import Params
+from sitl_mock.protocol import Link, Protocol
+from sitl_mock.px4 import Px4
+from sitl_mock.scenario import Scenario
+from sitl_mock.streams import Message
+from sitl_mock.uwb import Beacon
+from sitl_mock.vehicle import STEP_S, Vehicle
+from sitl_mock.world import start_pose
+
+_CATCH_UP_STEPS = 50
+_DATAGRAM_BYTES = 65_535
+_RECEIVE_BUFFER_BYTES = 1 << 20
+_LOSS = 0.3
+_LINK_FAULT = {Link.ONBOARD: Fault.LINK_LOSS, Link.GCS: Fault.GCS_LOSS}
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Where the mock is reached. URLs are `udpout:HOST:PORT` or `udpin:HOST:PORT`; None: not at all."""
+
+    onboard: str | None = "udpout:127.0.0.1:14540"
+    gcs: str | None = "udpout:127.0.0.1:14550"
+    zenoh_listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    zenoh_connect: tuple[str, ...] = ()
+    site: str = "lab"
+    tag: str = "drone"
+
+
+class Udp:
+    """One MAVLink channel over UDP with exactly one peer.
+
+    `udpout` sends to a peer from the start, as PX4 does; `udpin` waits for the first one that speaks.
+    Raises ValueError for what is no such URL, OSError where the port cannot be had.
+    """
+
+    def __init__(self, url: str, system_id: int) -> None:
+        kind, _, where = url.partition(":")
+        host, _, port = where.removeprefix("//").rpartition(":")
+        if kind not in ("udpin", "udpout") or not host or not port.isdecimal() or int(port) > 65_535:
+            raise ValueError(f"MAVLink URL {url!r}: must be udpout:HOST:PORT or udpin:HOST:PORT")
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        self._socket.setblocking(False)
+        address = (socket.gethostbyname(host), int(port))
+        self._peer: tuple[str, int] | None = None
+        if kind == "udpin":
+            self._socket.bind(address)
+            address = self._socket.getsockname()
+        else:
+            self._peer = address
+        self.url = f"{kind}:{address[0]}:{address[1]}"
+        """Where it really is: the port is the system's choice if 0 was asked for."""
+        self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._parser = mavlink.MAVLink(None)
+        self._parser.robust_parsing = True
+
+    def fileno(self) -> int:
+        """The descriptor to wait on."""
+        return self._socket.fileno()
+
+    def send(self, message: Message) -> None:
+        """Send one message; nothing before a peer is known."""
+        if self._peer is None:
+            return
+        data = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256  # pack() leaves it alone
+        try:
+            self._socket.sendto(data, self._peer)
+        except OSError:  # nobody there, buffer full, no route: UDP loses packets
+            return
+
+    def receive(self) -> list[Message]:
+        """Every message that has come from the peer. Garbage and strangers are ignored."""
+        messages: list[Message] = []
+        while True:
+            try:
+                data, sender = self._socket.recvfrom(_DATAGRAM_BYTES)
+            except (BlockingIOError, ConnectionRefusedError):
+                return messages
+            if self._peer is not None and sender != self._peer:
+                continue
+            try:
+                parsed = self._parser.parse_buffer(data) or []
+            except (mavlink.MAVError, struct.error, ValueError):
+                continue
+            good = [
+                m for m in parsed if m.get_type() != "BAD_DATA" and not m.get_type().startswith("UNKNOWN")
+            ]
+            if good and self._peer is None:
+                self._peer = sender
+            messages += good
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+
+class RangePublisher:
+    """The beacons' ranges on Zenoh. Raises ValueError where the endpoints cannot be had."""
+
+    def __init__(self, endpoints: Endpoints, beacons: list[str]) -> None:
+        config = {
+            "mode": "peer",
+            "listen": {"endpoints": list(endpoints.zenoh_listen)},
+            "connect": {"endpoints": list(endpoints.zenoh_connect), "retry": {"period_init_ms": 100}},
+            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            # Read by `locators`, which tells the real port where 0 was asked for.
+            "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
+        }
+        try:
+            self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        except zenoh.ZError as error:
+            where = ", ".join(endpoints.zenoh_listen + endpoints.zenoh_connect)
+            raise ValueError(f"Zenoh endpoints {where}: {str(error).splitlines()[0]}") from None
+        self._publishers = {
+            beacon: self._session.declare_publisher(
+                range_key(endpoints.site, beacon, endpoints.tag), encoding=zenoh.Encoding.APPLICATION_JSON
+            )
+            for beacon in beacons
+        }
+
+    def locators(self) -> list[str]:
+        """Where it really listens."""
+        for reply in self._session.get(f"@/{self._session.zid()}/peer"):
+            if reply.ok is not None:
+                return list(msgspec.json.decode(reply.ok.payload.to_bytes(), type=_Admin).locators)
+        return []
+
+    def put(self, beacon: str, message: RangeMessage) -> None:
+        """Publish one range."""
+        self._publishers[beacon].put(encode(message))
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+
+class _Admin(msgspec.Struct):
+    locators: list[str]
+
+
+class Wire:
+    """The mock on its wires. `run` until told to stop; `faults` may be switched while it runs.
+
+    Raises ValueError or OSError where an endpoint cannot be had.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        endpoints: Endpoints,
+        faults: tuple[FaultAt, ...] = (),
+        params: Params | None = None,
+        truth_log: Path | None = None,
+    ) -> None:
+        x, y, heading = start_pose(scenario, seed)
+        params = params or Params()
+        self.faults = Faults(faults)
+        self.vehicle = Vehicle(scenario, x, y, 0.0, heading)
+        self.px4 = Px4(scenario, seed, self.vehicle, params, self.faults)
+        self._protocol = Protocol(self.px4)
+        self._told = scenario.telemetry != "none"
+        urls = {Link.ONBOARD: endpoints.onboard, Link.GCS: endpoints.gcs}
+        self.links = {
+            link: Udp(url, self._protocol.system_id) for link, url in urls.items() if url is not None
+        }
+        # Unlike the noise, sessions are new at every start: a beacon that restarts begins to count anew.
+        self._beacons = [
+            (
+                Beacon(at, scenario, seed, self.faults, Random()),
+                Clock(scenario.range_rate_hz, i / len(scenario.beacons)),
+            )
+            for i, at in enumerate(scenario.beacons)
+        ]
+        self._ranges = RangePublisher(endpoints, [at.id for at in scenario.beacons])
+        self._loss = Random(f"{seed}/loss")
+        self._truth: TextIO | None = truth_log.open("w") if truth_log is not None else None
+        self._truth_clock = Clock(50.0)
+        self._steps = 0
+
+    def listening(self) -> list[str]:
+        """One line for every endpoint."""
+        lines = [f"listening: mavlink {link.value} {udp.url}" for link, udp in self.links.items()]
+        return lines + [f"listening: zenoh {locator}" for locator in self._ranges.locators()]
+
+    def run(self, stopped: Callable[[], bool], wake: int | None = None) -> None:
+        """Run in real time until `stopped` says so; a byte on the descriptor `wake` makes it ask at once."""
+        sockets: list[Udp | int] = [*self.links.values()]
+        if wake is not None:
+            sockets.append(wake)
+        start = time.monotonic()
+        while not stopped():
+            behind = int((time.monotonic() - start) / STEP_S) - self._steps
+            if behind > _CATCH_UP_STEPS:
+                start += (behind - _CATCH_UP_STEPS) * STEP_S
+                behind = _CATCH_UP_STEPS
+            for _ in range(behind):
+                self._receive()
+                self._step()
+            wait_s = start + (self._steps + 1) * STEP_S - time.monotonic()
+            if wait_s > 0.0 and select.select(sockets, [], [], wait_s)[0]:
+                self._receive()
+
+    def close(self) -> None:
+        """Give everything back."""
+        for udp in self.links.values():
+            udp.close()
+        self._ranges.close()
+        if self._truth is not None:
+            self._truth.close()
+
+    def _receive(self) -> None:
+        for link, udp in self.links.items():
+            for message in udp.receive():
+                if not self._lost(link):
+                    self._protocol.receive(link, message)
+
+    def _step(self) -> None:
+        self._steps += 1
+        for link, message in self._protocol.step():
+            if link in self.links and not self._lost(link):
+                self.links[link].send(message)
+        v = self.vehicle
+        for beacon, clock in self._beacons:
+            for _ in range(clock.due(self._steps)):
+                r = beacon.measure(v.x_m, v.y_m, v.height_m)
+                if r is not None:
+                    los = LineOfSight(r.los)
+                    message = RangeMessage(r.session, r.seq, r.range_m, r.sigma_m, los, t_ns=time.time_ns())
+                    self._ranges.put(r.beacon, message)
+        if self._truth is not None and self._truth_clock.due(self._steps):
+            self._log_truth(self._truth)
+
+    def _lost(self, link: Link) -> bool:
+        if self.faults.active(_LINK_FAULT[link]):
+            return True
+        return self.faults.active(Fault.PACKET_LOSS) and self._loss.random() < _LOSS
+
+    def _log_truth(self, file: TextIO) -> None:
+        v, at = self.vehicle, self._beacons[0][0].at
+        row = {
+            "t_s": round(self.px4.t_s, 3),
+            "x_m": v.x_m,
+            "y_m": v.y_m,
+            "height_m": v.height_m,
+            "heading_rad": v.heading_rad,
+            "vx": v.vx_m_s,
+            "vy": v.vy_m_s,
+            "yaw_rate": v.yaw_rate_rad_s,
+            "mode": WIRE[self.px4.mode].name.value,
+            "armed": self.px4.armed,
+            "d_m": ((v.x_m - at.x_m) ** 2 + (v.y_m - at.y_m) ** 2) ** 0.5,
+        }
+        file.write(json.dumps(row) + "\n")
+        file.flush()
