@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -86,6 +87,7 @@ class GroundLink:
         self._action_plugin, self._direct_plugin, self._telemetry_plugin = action, mavlink_direct, telemetry
         self._system: Any = None
         self._motion: tuple[float, Any] | None = None
+        self._texts: deque[str] = deque(maxlen=100)
         mavsdk.log_subscribe(lambda level, message, file, line: True)  # its own chatter on stdout
         ground_station = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
         self._mavsdk = mavsdk.Mavsdk(ground_station)
@@ -164,6 +166,10 @@ class GroundLink:
             climb_m_s=-velocity.down_m_s,
         )
 
+    def take_texts(self) -> list[str]:
+        """What the vehicle has said to people (STATUSTEXT) since the last call."""
+        return [self._texts.popleft() for _ in range(len(self._texts))]
+
     def not_ready(self) -> tuple[str, ...]:
         """What is missing before it can be armed and take off; empty when nothing is."""
         health = self._telemetry.health()
@@ -229,4 +235,4 @@ class GroundLink:
         self._motion = (time.monotonic(), position_velocity)
 
     def _on_status_text(self, status_text: Any, _: Any) -> None:
-        self._tell(f"the vehicle says: {status_text.text}")
+        self._texts.append(status_text.text.strip())

@@ -317,6 +317,8 @@ class _Script:
         say_at = time.monotonic() + SAY_EVERY_S
         while (now := time.monotonic()) < deadline:
             yield now
+            for text in self._vehicle.take_texts():
+                self._tell(f"the vehicle says: {text}")
             if aloud and now >= say_at:
                 say_at = now + SAY_EVERY_S
                 motion = self._vehicle.motion()
