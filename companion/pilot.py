@@ -37,6 +37,7 @@ from companion.types import (
     Status,
     StopRequest,
     SystemStatus,
+    Tick,
     VehicleHeartbeat,
 )
 from companion.vehicle import BodyMotion, Vehicle
@@ -299,8 +300,6 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
 
 def _age_s(then_ns: int | None, now_ns: int) -> float:
     return math.inf if then_ns is None else (now_ns - then_ns) * 1e-9
-
-
 
 
 # -------------------------------------------------------------------------------------------- control

@@ -1,6 +1,6 @@
 """The settings of a flight: typed, range-checked, frozen. Loading them from files is `config.py`.
 
-Each class is one table of the TOML file; the text under a field is its documentation.
+Each class is one table of the TOML file; the descriptions go into the JSON Schema and into `config show`.
 """
 
 from __future__ import annotations
@@ -25,101 +25,210 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class MissionSettings(Table, frozen=True):
     """`[mission]`: what the flight is for."""
 
-    target: Name = "b1"
-    """Id of the beacon to fly to."""
+    target: Annotated[Name, Meta(description="Id of the beacon to fly to.")] = "b1"
 
 
 class BeaconSettings(Table, frozen=True):
     """`[beacons.ID]`: what is known of a beacon. Its horizontal position is not among it."""
 
-    height_m: Finite = 0.0
-    """Height of its antenna above the take-off point."""
-    sigma_m: Annotated[float, Meta(ge=0.005, le=5.0)] = 0.07
-    """Range noise, one standard deviation, where the range itself does not tell it."""
+    height_m: Annotated[Finite, Meta(description="Height of its antenna above the take-off point.")] = 0.0
+    sigma_m: Annotated[
+        float,
+        Meta(
+            ge=0.005,
+            le=5.0,
+            description="Range noise, one standard deviation, where the range itself does not tell it.",
+        ),
+    ] = 0.07
 
 
 class RangesSettings(Table, frozen=True):
     """`[ranges]`: where the ranges come from, and which are refused at the door."""
 
-    site: Name = "lab"
-    """Second part of the key `uwb/v1/{site}/{beacon}/{tag}/range`."""
-    tag: Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^([A-Za-z0-9_.\-]+|\*)$")] = "*"
-    """This vehicle's UWB tag; `*` takes the ranges of every tag of the site."""
-    connect: tuple[str, ...] = ()
-    """Zenoh endpoints (a router or beacons) to connect to, such as `tcp/192.168.1.10:7447`."""
-    listen: tuple[str, ...] = ()
-    """Zenoh endpoints to listen on, such as `tcp/0.0.0.0:7447`."""
-    multicast_scouting: bool = False
-    """Find peers by multicast. Off: only the endpoints above are used."""
-    max_age_s: Annotated[float, Meta(ge=0.02, le=5.0)] = 0.3
-    """Older ranges are stale: dropped. Judged from the publisher's own spacing, so its clock need not be set."""
-    max_range_m: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 200.0
-    """Longer ranges are absurd: dropped."""
-    nlos_sigma_factor: Annotated[float, Meta(ge=1.0, le=100.0)] = 5.0
-    """A range marked "nlos" counts with its sigma times this."""
+    site: Annotated[
+        Name, Meta(description="Second part of the key `uwb/v1/{site}/{beacon}/{tag}/range`.")
+    ] = "lab"
+    tag: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            max_length=64,
+            pattern=r"^([A-Za-z0-9_.\-]+|\*)$",
+            description="This vehicle's UWB tag; `*` takes the ranges of every tag of the site.",
+        ),
+    ] = "*"
+    connect: Annotated[
+        tuple[str, ...],
+        Meta(
+            description=(
+                "Zenoh endpoints (a router or beacons) to connect to, such as `tcp/192.168.1.10:7447`."
+            )
+        ),
+    ] = ()
+    listen: Annotated[
+        tuple[str, ...], Meta(description="Zenoh endpoints to listen on, such as `tcp/0.0.0.0:7447`.")
+    ] = ()
+    multicast_scouting: Annotated[
+        bool, Meta(description="Find peers by multicast. Off: only the endpoints above are used.")
+    ] = False
+    max_age_s: Annotated[
+        float,
+        Meta(
+            ge=0.02,
+            le=5.0,
+            description=(
+                "Older ranges are stale: dropped. Judged from the publisher's own spacing, so its "
+                "clock need not be set."
+            ),
+        ),
+    ] = 0.3
+    max_range_m: Annotated[
+        float, Meta(gt=0.0, le=10_000.0, description="Longer ranges are absurd: dropped.")
+    ] = 200.0
+    nlos_sigma_factor: Annotated[
+        float, Meta(ge=1.0, le=100.0, description='A range marked "nlos" counts with its sigma times this.')
+    ] = 5.0
 
 
 class VehicleSettings(Table, frozen=True):
     """`[vehicle]`: the autopilot, its link and how it answers."""
 
-    mavlink: str = "udpin:0.0.0.0:14540"
-    """`udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`."""
-    setpoint_frame: Literal["local_ned", "body_ned"] = "local_ned"
-    """`local_ned`: the autopilot holds the height. `body_ned`: for vehicles with a velocity but no position
-    estimate; the height is then held by the app."""
-    target_system: Annotated[int, Meta(ge=0, le=255)] = 0
-    """MAVLink system id of the autopilot; 0: the first one heard."""
-    component_id: Annotated[int, Meta(ge=1, le=255)] = 191
-    """Our own component id (191: MAV_COMP_ID_ONBOARD_COMPUTER)."""
-    telemetry_rate_hz: Annotated[float, Meta(ge=5.0, le=200.0)] = 50.0
-    """Rate asked for attitude, position and mode."""
-    yaw_rate_lag_s: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.47
-    """Time in which the yaw rate reaches 63 % of a step; the app's model of it."""
-    velocity_lag_s: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.72
-    """The same of the horizontal velocity; used where the autopilot reports no velocity."""
-    response_delay_s: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.15
-    """Dead time before the vehicle answers; `companion design` holds it against the delay margin."""
-    height_m: Finite = 3.0
-    """Flight height above the take-off point: the operator climbs to it, and the slant correction uses it
-    where the autopilot reports no height."""
-    height_sigma_m: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.1
-    """One-sigma error of the height above the beacon."""
-    height_gain_1_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.8
-    """`body_ned` only: climb rate per metre of height error."""
+    mavlink: Annotated[
+        str,
+        Meta(description="`udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`."),
+    ] = "udpin:0.0.0.0:14540"
+    setpoint_frame: Annotated[
+        Literal["local_ned", "body_ned"],
+        Meta(
+            description=(
+                "`local_ned`: the autopilot holds the height. `body_ned`: for vehicles with a "
+                "velocity but no position estimate; the height is then held by the app."
+            )
+        ),
+    ] = "local_ned"
+    target_system: Annotated[
+        int, Meta(ge=0, le=255, description="MAVLink system id of the autopilot; 0: the first one heard.")
+    ] = 0
+    component_id: Annotated[
+        int, Meta(ge=1, le=255, description="Our own component id (191: MAV_COMP_ID_ONBOARD_COMPUTER).")
+    ] = 191
+    telemetry_rate_hz: Annotated[
+        float, Meta(ge=5.0, le=200.0, description="Rate asked for attitude, position and mode.")
+    ] = 50.0
+    yaw_rate_lag_s: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=5.0,
+            description="Time in which the yaw rate reaches 63 % of a step; the app's model of it.",
+        ),
+    ] = 0.47
+    velocity_lag_s: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=5.0,
+            description="The same of the horizontal velocity; used where the autopilot reports no velocity.",
+        ),
+    ] = 0.72
+    response_delay_s: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=2.0,
+            description=(
+                "Dead time before the vehicle answers; `companion design` holds it against the delay margin."
+            ),
+        ),
+    ] = 0.15
+    height_m: Annotated[
+        Finite,
+        Meta(
+            description=(
+                "Flight height above the take-off point: the operator climbs to it, and the slant "
+                "correction uses it where the autopilot reports no height."
+            )
+        ),
+    ] = 3.0
+    height_sigma_m: Annotated[
+        float, Meta(ge=0.0, le=10.0, description="One-sigma error of the height above the beacon.")
+    ] = 0.1
+    height_gain_1_s: Annotated[
+        float, Meta(gt=0.0, le=5.0, description="`body_ned` only: climb rate per metre of height error.")
+    ] = 0.8
 
 
 class StreamSettings(Table, frozen=True):
     """`[stream]`: the pace of setpoints and status."""
 
-    min_rate_hz: Annotated[float, Meta(ge=5.0, le=100.0)] = 20.0
-    """A setpoint leaves at least this often while the app is streaming; each fresh range gives one at once."""
-    max_rate_hz: Annotated[float, Meta(ge=5.0, le=200.0)] = 50.0
-    """And not more often than this, however many beacons there are."""
+    min_rate_hz: Annotated[
+        float,
+        Meta(
+            ge=5.0,
+            le=100.0,
+            description=(
+                "A setpoint leaves at least this often while the app is streaming; each fresh "
+                "range gives one at once."
+            ),
+        ),
+    ] = 20.0
+    max_rate_hz: Annotated[
+        float,
+        Meta(ge=5.0, le=200.0, description="And not more often than this, however many beacons there are."),
+    ] = 50.0
     status_rate_hz: Annotated[float, Meta(ge=0.5, le=50.0)] = 10.0
 
 
 class LossSettings(Table, frozen=True):
     """`[loss]`: what happens when something stops coming. Times count from the last good input."""
 
-    coast_after_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.5
-    """No believed range for this long: fly on the prediction."""
-    stall_after_s: Annotated[float, Meta(gt=0.0, le=60.0)] = 4.0
-    """No believed range for this long: stand still."""
-    coast_bearing_sigma_rad: Annotated[float, Meta(gt=0.0, le=3.2)] = 0.5
-    """Coasting ends earlier where the bearing is less certain than this."""
-    hand_over_after_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 15.0
-    """No believed range for this long: hand over."""
-    hand_over_to: Literal["land", "hold", "release"] = "hold"
-    """Mode asked for at a hand-over (AUTO.LAND, AUTO.LOITER), or `release`: fall silent, so that the
-    autopilot's own failsafe acts (COM_OBL_RC_ACT)."""
-    hand_over_patience_s: Annotated[float, Meta(gt=0.0, le=60.0)] = 3.0
-    """The hand-over mode not reached after this long: fall silent."""
-    telemetry_after_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.5
-    """No heading for this long: stand still."""
-    vehicle_after_s: Annotated[float, Meta(gt=0.0, le=30.0)] = 3.0
-    """No heartbeat or mode for this long: the vehicle is gone, fall silent."""
-    wait_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 120.0
-    """Give up when vehicle or ranges have not shown up after this long on the ground."""
+    coast_after_s: Annotated[
+        float, Meta(gt=0.0, le=10.0, description="No believed range for this long: fly on the prediction.")
+    ] = 0.5
+    stall_after_s: Annotated[
+        float, Meta(gt=0.0, le=60.0, description="No believed range for this long: stand still.")
+    ] = 4.0
+    coast_bearing_sigma_rad: Annotated[
+        float,
+        Meta(
+            gt=0.0, le=3.2, description="Coasting ends earlier where the bearing is less certain than this."
+        ),
+    ] = 0.5
+    hand_over_after_s: Annotated[
+        float, Meta(gt=0.0, le=600.0, description="No believed range for this long: hand over.")
+    ] = 15.0
+    hand_over_to: Annotated[
+        Literal["land", "hold", "release"],
+        Meta(
+            description=(
+                "Mode asked for at a hand-over (AUTO.LAND, AUTO.LOITER), or `release`: fall "
+                "silent, so that the autopilot's own failsafe acts (COM_OBL_RC_ACT)."
+            )
+        ),
+    ] = "hold"
+    hand_over_patience_s: Annotated[
+        float,
+        Meta(gt=0.0, le=60.0, description="The hand-over mode not reached after this long: fall silent."),
+    ] = 3.0
+    telemetry_after_s: Annotated[
+        float, Meta(gt=0.0, le=10.0, description="No heading for this long: stand still.")
+    ] = 0.5
+    vehicle_after_s: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=30.0,
+            description="No heartbeat or mode for this long: the vehicle is gone, fall silent.",
+        ),
+    ] = 3.0
+    wait_s: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=86_400.0,
+            description="Give up when vehicle or ranges have not shown up after this long on the ground.",
+        ),
+    ] = 120.0
 
 
 class LimitSettings(Table, frozen=True):
@@ -128,19 +237,38 @@ class LimitSettings(Table, frozen=True):
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 1.0
     yaw_rate_rad_s: Annotated[float, Meta(gt=0.0, le=6.3)] = 1.0
     climb_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.5
-    acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=50.0)] = 5.0
-    """Slew of the commanded speed upwards; slowing down is never limited."""
-    yaw_acceleration_rad_s2: Annotated[float, Meta(gt=0.0, le=200.0)] = 20.0
-    """Slew of the commanded yaw rate."""
-    flight_time_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 300.0
-    """Engaged for longer than this: hand over."""
-    distance_m: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 150.0
-    """Flown further than this by dead reckoning of the commands: hand over."""
-    from_start_m: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 60.0
-    """Further than this from where it was engaged, by dead reckoning: hand over."""
+    acceleration_m_s2: Annotated[
+        float,
+        Meta(
+            gt=0.0, le=50.0, description="Slew of the commanded speed upwards; slowing down is never limited."
+        ),
+    ] = 5.0
+    yaw_acceleration_rad_s2: Annotated[
+        float, Meta(gt=0.0, le=200.0, description="Slew of the commanded yaw rate.")
+    ] = 20.0
+    flight_time_s: Annotated[
+        float, Meta(gt=0.0, le=86_400.0, description="Engaged for longer than this: hand over.")
+    ] = 300.0
+    distance_m: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=100_000.0,
+            description="Flown further than this by dead reckoning of the commands: hand over.",
+        ),
+    ] = 150.0
+    from_start_m: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=100_000.0,
+            description="Further than this from where it was engaged, by dead reckoning: hand over.",
+        ),
+    ] = 60.0
     height_min_m: Finite = 0.5
-    height_max_m: Finite = 50.0
-    """The height that is asked for stays in this band."""
+    height_max_m: Annotated[Finite, Meta(description="The height that is asked for stays in this band.")] = (
+        50.0
+    )
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,0 +1,221 @@
+"""Configuration: TOML → typed, range-checked, frozen. File < environment < command line.
+
+The environment is `COMPANION_TABLE__KEY=value` (`COMPANION_BEACONS__B1__HEIGHT_M` for a nested table), the
+command line `--set table.key=value`. Values are TOML; what is not TOML is taken as text.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+from msgspec import inspect
+
+from companion.link.transport import parse_url
+from companion.settings import Settings
+from sitl_mock.scenario import Scenario
+
+ENVIRONMENT_PREFIX = "COMPANION_"
+
+
+class ConfigError(Exception):
+    """The configuration cannot be used; the text names key, value and what is allowed."""
+
+
+class Config(Settings, frozen=True, forbid_unknown_fields=True):
+    """Everything that a configuration file may hold: the settings of a flight, and the simulated world."""
+
+    sim: Scenario = Scenario()
+
+
+class Loaded(NamedTuple):
+    """A configuration, and where each value that is not a default came from (dotted key → source)."""
+
+    config: Config
+    sources: dict[str, str]
+
+    @property
+    def digest(self) -> str:
+        """Identifies the effective configuration in logs: the first 16 hex digits of its SHA-256."""
+        return hashlib.sha256(msgspec.json.encode(self.config, order="sorted")).hexdigest()[:16]
+
+
+def load(path: Path | None, environment: Mapping[str, str], overrides: Iterable[str] = ()) -> Loaded:
+    """Read and check a configuration. Raises ConfigError with one line that says what to change."""
+    raw: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    if path is not None:
+        raw = _read(path)
+        sources = dict.fromkeys(_leaves(raw), str(path))
+    for name in sorted(environment):
+        if name.startswith(ENVIRONMENT_PREFIX) and "__" in name:
+            keys = _match_case(raw, name.removeprefix(ENVIRONMENT_PREFIX).split("__"))
+            _put(raw, keys, _value(environment[name]), name)
+            sources[".".join(keys)] = f"environment {name}"
+    for override in overrides:
+        key, separator, text = override.partition("=")
+        if not separator or "." not in key:
+            raise ConfigError(f"--set {override}: expected table.key=value")
+        keys = key.strip().split(".")
+        _put(raw, keys, _value(text.strip()), f"--set {override}")
+        sources[key.strip()] = f"--set {override}"
+    config = _convert(raw, sources)
+    problems = contradictions(config)
+    if problems:
+        raise ConfigError("; ".join(problems))
+    return Loaded(config, sources)
+
+
+def contradictions(c: Settings) -> list[str]:
+    """What no single value shows: combinations that cannot be flown, each in words."""
+    problems = []
+    if c.mission.target not in c.beacons:
+        known = ", ".join(sorted(c.beacons)) or "none"
+        problems.append(f"mission.target = {c.mission.target!r}: no such beacon; [beacons] has {known}")
+    try:
+        parse_url(c.vehicle.mavlink)
+    except ValueError as error:
+        problems.append(f"vehicle.mavlink = {error}")
+    pairs = (
+        ("guidance.speed_m_s", c.guidance.speed_m_s, "limits.speed_m_s", c.limits.speed_m_s),
+        (
+            "guidance.yaw_rate_max_rad_s",
+            c.guidance.yaw_rate_max_rad_s,
+            "limits.yaw_rate_rad_s",
+            c.limits.yaw_rate_rad_s,
+        ),
+        ("loss.coast_after_s", c.loss.coast_after_s, "loss.stall_after_s", c.loss.stall_after_s),
+        ("loss.stall_after_s", c.loss.stall_after_s, "loss.hand_over_after_s", c.loss.hand_over_after_s),
+        ("limits.height_min_m", c.limits.height_min_m, "limits.height_max_m", c.limits.height_max_m),
+        ("limits.height_min_m", c.limits.height_min_m, "vehicle.height_m", c.vehicle.height_m),
+        ("vehicle.height_m", c.vehicle.height_m, "limits.height_max_m", c.limits.height_max_m),
+        ("stream.min_rate_hz", c.stream.min_rate_hz, "stream.max_rate_hz", c.stream.max_rate_hz),
+    )
+    problems += [
+        f"{small} = {low:g}: must not be above {large} = {high:g}"
+        for small, low, large, high in pairs
+        if low > high
+    ]
+    return problems
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of the configuration file."""
+    return msgspec.json.schema(Config)
+
+
+def flat(config: Config) -> dict[str, Any]:
+    """Every effective value by its dotted key."""
+    builtins = msgspec.to_builtins(config)
+    return {key: _get(builtins, key.split(".")) for key in _leaves(builtins)}
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from error
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"v = {text}")["v"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterable[str]:
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}"
+
+
+def _get(raw: Any, keys: Iterable[str]) -> Any:
+    for key in keys:
+        raw = raw[int(key)] if isinstance(raw, list) else raw[key]
+    return raw
+
+
+def _put(raw: dict[str, Any], keys: list[str], value: Any, source: str) -> None:
+    for depth, key in enumerate(keys[:-1], start=1):
+        raw = raw.setdefault(key, {})
+        if not isinstance(raw, dict):
+            raise ConfigError(f"{source}: {'.'.join(keys[:depth])} is not a table")
+    raw[keys[-1]] = value
+
+
+def _match_case(raw: Mapping[str, Any], keys: list[str]) -> list[str]:
+    """Environment names are upper case; keys are lower case unless the file spells them otherwise."""
+    matched = []
+    table: Any = raw
+    for key in keys:
+        known = table if isinstance(table, dict) else {}
+        spelled = next((name for name in known if name.upper() == key.upper()), key.lower())
+        matched.append(spelled)
+        table = known.get(spelled)
+    return matched
+
+
+_PLACE = re.compile(r"^(?P<problem>.*?)(?: - at `(?:key in )?\$(?P<path>[^`]*)`)?$", re.DOTALL)
+_STEP = re.compile(r"\[\.\.\.\]|[^.\[\]]+")
+_UNKNOWN = re.compile(r"Object contains unknown field `(?P<field>[^`]*)`")
+
+
+def _convert(raw: dict[str, Any], sources: Mapping[str, str]) -> Config:
+    try:
+        return msgspec.convert(raw, Config, strict=True)
+    except msgspec.ValidationError as error:
+        raise ConfigError(_explain(str(error), raw, sources)) from error
+
+
+def _explain(message: str, raw: dict[str, Any], sources: Mapping[str, str]) -> str:
+    """msgspec's message as one line: key = value: problem, what is allowed (source)."""
+    place = _PLACE.match(message)
+    assert place is not None
+    problem = place["problem"]
+    keys: list[str] = []
+    kind: Any = inspect.type_info(Config)
+    value: Any = raw
+    for step in _STEP.findall(place["path"] or ""):
+        if isinstance(kind, inspect.StructType):
+            kind = next(f.type for f in kind.fields if f.encode_name == step)
+        elif isinstance(kind, inspect.DictType):
+            kind = kind.value_type
+            step = next(key for key, entry in value.items() if not _is_valid(entry, kind))
+        elif isinstance(kind, inspect.VarTupleType):
+            kind = kind.item_type
+        else:
+            kind = kind.item_types[int(step)]
+        keys.append(step)
+        value = value[int(step)] if isinstance(value, list) else value[step]
+    unknown = _UNKNOWN.match(problem)
+    if unknown:
+        keys.append(unknown["field"])
+        allowed = [f.encode_name for f in kind.fields]
+        near = difflib.get_close_matches(unknown["field"], allowed, n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        problem = f"unknown key; {hint}allowed: {', '.join(allowed)}"
+    elif isinstance(kind, inspect.LiteralType):
+        problem = f"allowed: {', '.join(map(repr, kind.values))}"
+    key = ".".join(keys)
+    shown = "" if unknown or isinstance(value, dict) else f" = {value!r}"
+    source = sources.get(key)
+    return f"{key}{shown}: {problem}" + ("" if source is None else f" (from {source})")
+
+
+def _is_valid(entry: Any, kind: Any) -> bool:
+    try:
+        msgspec.convert(entry, kind.cls)
+    except msgspec.ValidationError:
+        return False
+    return True

@@ -1,0 +1,29 @@
+"""Exit statuses: stable, so that scripts and supervisors can tell the endings apart."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Exit(IntEnum):
+    """What a command's exit status means. 1 is a bug: Python's own, with its traceback."""
+
+    OK = 0
+    USAGE = 2
+    NO_VEHICLE = 3
+    NO_RANGES = 4
+    NOT_CAPTURED = 5
+    LINK = 6
+    INTERRUPTED = 130
+
+
+MEANING = {
+    Exit.OK: "done; for fly and demo: the target was captured",
+    Exit.USAGE: "wrong command line or configuration",
+    Exit.NO_VEHICLE: "no telemetry from an autopilot within loss.wait_s",
+    Exit.NO_RANGES: "no usable ranges within loss.wait_s",
+    Exit.NOT_CAPTURED: "the flight ended without a capture",
+    Exit.LINK: "a port or endpoint could not be opened",
+    Exit.INTERRUPTED: "interrupted before a capture",
+}
+"""One line each, for `--help`."""

@@ -1,0 +1,87 @@
+"""A real flight: links, signals, view and summary around the loop."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+import serial
+import zenoh
+
+from companion import pilot
+from companion.exits import Exit
+from companion.link.mavlink import VehicleLink
+from companion.link.zenoh_ranges import RangeLink
+from companion.live import Bell, live
+from companion.run import run
+from companion.settings import Settings
+from companion.summary import FlightLog, FlightReport, Problem, report, text
+from companion.types import Output, PhaseChange, Status
+from companion.view import View
+
+
+def fly(settings: Settings, view: View, json_file: Path | None, png_file: Path | None) -> Exit:
+    """Fly until the flight is over, then tell what it came to."""
+    log = FlightLog()
+    try:
+        with ExitStack() as stack:
+            stack.callback(view.close)
+            bell = Bell()
+            stack.callback(bell.close)
+            vehicle = VehicleLink.open(settings.vehicle)
+            stack.callback(vehicle.close)
+            ranges = RangeLink(settings.ranges, bell.ring)
+            stack.callback(ranges.close)
+            for number in (signal.SIGINT, signal.SIGTERM):
+                stack.callback(signal.signal, number, signal.signal(number, lambda *_: bell.ask_stop()))
+
+            def send(output: Output) -> None:
+                vehicle.send(output)
+                if isinstance(output, Status):
+                    view.show(output)
+                    log.add(output)
+                elif isinstance(output, PhaseChange):
+                    view.note(output)
+                    log.add(output)
+
+            final = run(live(vehicle, ranges, bell), settings, send, _unrecorded)
+    except (OSError, ValueError, serial.SerialException, zenoh.ZError) as error:
+        print(f"companion: link: {error}", file=sys.stderr)
+        return Exit.LINK
+    g = settings.guidance
+    flight = report(log, Problem(g.capture_radius_m, g.speed_m_s, g.yaw_rate_max_rad_s))
+    print(text(flight.summary))
+    _write(flight, json_file, png_file)
+    return exit_status(final, log)
+
+
+def exit_status(final: pilot.State, log: FlightLog) -> Exit:
+    """What the ending means to a script."""
+    if final.captured:
+        return Exit.OK
+    if final.was_engaged:
+        return Exit.INTERRUPTED if final.stop_asked else Exit.NOT_CAPTURED
+    if final.stop_asked:
+        return Exit.INTERRUPTED
+    awaited = log.last.awaited if log.last is not None else ()
+    return Exit.NO_RANGES if awaited and awaited[0].startswith("ranges") else Exit.NO_VEHICLE
+
+
+def _write(flight: FlightReport, json_file: Path | None, png_file: Path | None) -> None:
+    if json_file is not None:
+        json_file.write_bytes(msgspec.json.encode(flight))
+    if png_file is not None:
+        from companion.picture import PictureError, draw_flight
+
+        try:
+            draw_flight(png_file, flight)
+            print(f"picture: {png_file}")
+        except PictureError as error:
+            print(f"companion: no picture: {error}", file=sys.stderr)
+
+
+def _unrecorded(_: object) -> None:
+    """The flight is not recorded."""
