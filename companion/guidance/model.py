@@ -175,12 +175,11 @@ def _shortest_turning_right(ahead: float, right: float, radius: float, rho: floa
     best = math.inf
     # arc, then straight: leave the circle on the tangent that runs through the disc's centre
     if far * far >= rho * rho + radius * radius:
-        leave = toward - math.acos(rho / far)
-        best = rho * (leave % TWO_PI) + math.sqrt(far * far - rho * rho) - radius
+        tangent = math.sqrt(far * far - rho * rho)
+        best = rho * _turned(toward - math.atan2(tangent, rho)) + tangent - radius
     # one arc: the first point of the circle that lies on the disc
     if abs(far - rho) <= radius and far > 0.0:
-        spread = _angle(rho, far, radius)
-        best = min(best, rho * ((toward - spread) % TWO_PI))
+        best = min(best, rho * _turned(toward - _angle(rho, far, radius)))
     # two arcs: switch sides at distance m from the target T, where switch, T and end lie on one line in this
     # order; the power of T with respect to the second circle then is −m radius
     if far > rho:
@@ -189,10 +188,14 @@ def _shortest_turning_right(ahead: float, right: float, radius: float, rho: floa
         if chord <= 2.0 * rho and abs(far - rho) <= m <= far + rho:
             spread = _angle(rho, far, m)
             back = rho * (TWO_PI - 2.0 * math.asin(chord / (2.0 * rho)))
-            best = min(
-                best, rho * ((toward - spread) % TWO_PI) + back, rho * ((toward + spread) % TWO_PI) + back
-            )
+            best = min(best, rho * _turned(toward - spread) + back, rho * _turned(toward + spread) + back)
     return best
+
+
+def _turned(angle_rad: float) -> float:
+    """The angle in [0, 2π); one that rounding made just negative is none, not a full turn."""
+    turned = angle_rad % TWO_PI
+    return turned if turned < TWO_PI - 1e-7 else 0.0
 
 
 def _angle(a: float, b: float, opposite: float) -> float:

@@ -1,0 +1,1 @@
+"""Tests of the guidance mathematics, and a small plant to fly it on."""
