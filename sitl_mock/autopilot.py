@@ -7,7 +7,7 @@ local frame keeps the estimate in place, and a bare zero climb rate drifts.
 
 from __future__ import annotations
 
-from math import hypot
+from math import copysign, hypot, sqrt
 from typing import NamedTuple
 
 from sitl_mock.estimate import EstimateErrors
@@ -20,9 +20,14 @@ _YAW_RATE_MAX_RAD_S = 0.785
 _STANDSTILL_M_S = 0.1
 _CRAWL_HEIGHT_M = 0.68
 """Below this the landing crawls, recorded."""
+_LANDING_RAMP_S = 0.5
+"""A commanded landing gets to speed within this, recorded."""
+_TAKE_OFF_BRAKE_M_S2 = 0.41
+_HOLD_HEIGHT_P_1_S = 0.7
+"""How the height is approached by a take-off, and held by the automatic modes; recorded."""
 _RETURN_REACHED_M = 0.5
 # Shares of MPC_TKO_RAMP_T: after the first the vehicle rises, within the second it gets to speed; recorded.
-_RAMP_START, _RAMP_RISE = 0.62, 0.53
+_RAMP_START, _RAMP_RISE = 0.6, 0.75
 
 
 class Target(NamedTuple):
@@ -58,6 +63,7 @@ class Autopilot:
         self._hold_heading: float | None = None
         self._take_off_height: float | None = None
         self._ramp_s = 0.0
+        self._landing_s = 0.0
         self._return_height: float | None = None
         self._returned = False
 
@@ -100,7 +106,7 @@ class Autopilot:
         self.offboard = None
         self._hold_heading = None
         self._hold_x = self._hold_y = None
-        self._ramp_s = 0.0
+        self._ramp_s = self._landing_s = 0.0
         if mode is Mode.TAKEOFF:
             self._hold_x, self._hold_y = x, y
             if self._take_off_height is None:
@@ -153,7 +159,9 @@ class Autopilot:
             return self._wanted_offboard()
         vx, vy = self._hold_position()
         if mode is Mode.TAKEOFF:
-            climb = min(params["MPC_Z_P"] * self.take_off_remaining_m, params["MPC_TKO_SPEED"])
+            remaining = self.take_off_remaining_m
+            climb = copysign(sqrt(2.0 * _TAKE_OFF_BRAKE_M_S2 * abs(remaining)), remaining)
+            climb = min(climb, params["MPC_TKO_SPEED"])
         elif mode is Mode.LAND:
             climb = self._landing_climb()
         elif mode is Mode.DESCEND:
@@ -203,14 +211,16 @@ class Autopilot:
     def _height_climb(self, height_m: float) -> float:
         params = self._params
         return _limit(
-            params["MPC_Z_P"] * (height_m - self.height_m),
+            _HOLD_HEIGHT_P_1_S * (height_m - self.height_m),
             -params["MPC_Z_VEL_MAX_DN"],
             params["MPC_Z_VEL_MAX_UP"],
         )
 
     def _landing_climb(self) -> float:
-        near = self.height_m - self.home_height_m < _CRAWL_HEIGHT_M
-        return -self._params["MPC_LAND_CRWL" if near else "MPC_LAND_SPEED"]
+        if self.height_m - self.home_height_m < _CRAWL_HEIGHT_M:
+            return -self._params["MPC_LAND_CRWL"]
+        self._landing_s += STEP_S
+        return -self._params["MPC_LAND_SPEED"] * min(self._landing_s / _LANDING_RAMP_S, 1.0)
 
     def _wanted_return(self, vx: float, vy: float) -> tuple[float, float, float]:
         """Climb, fly home, land there."""

@@ -21,8 +21,10 @@ from sitl_mock.vehicle import STEP_S, Vehicle
 
 SPOOL_UP_S = 1.85
 """From arming to lift-off, recorded."""
-LAND_DETECTION_S = 3.2
+LAND_DETECTION_S = 3.25
 """From touch-down to "landed", recorded."""
+NOTICE_S = 0.05
+"""How long the commander takes to see that a stream has stopped, recorded."""
 REBOOT_S = 2.0
 TAKEOFF_ACCEPTANCE_M = 0.8
 """The take-off is over this close to its height (NAV_MC_ALT_RAD)."""
@@ -58,6 +60,7 @@ class Px4:
         self._steps = 0
         self._boot_step = 0
         self._seen_faults: set[Fault] = set()
+        self._fault_changes = 0
         self._start()
 
     def _start(self) -> None:
@@ -141,16 +144,12 @@ class Px4:
     def streaming(self) -> bool:
         """A setpoint no older than COM_OF_LOSS_T is there."""
         since = self._stream_step
-        return since is not None and (self._steps - since) * STEP_S <= self.params["COM_OF_LOSS_T"]
+        return since is not None and (self._steps - since) * STEP_S <= self.params["COM_OF_LOSS_T"] + NOTICE_S
 
     @property
     def armable(self) -> bool:
-        """The PREARM_CHECK bit of SYS_STATUS."""
-        return (
-            self.can_run(self.intended)
-            and self.intended not in (Mode.LAND, Mode.RTL)
-            and not self.battery_low
-        )
+        """The PREARM_CHECK bit of SYS_STATUS: recorded, it follows the mode in effect."""
+        return self.can_run(self.mode) and not self.battery_low
 
     def can_run(self, mode: Mode) -> bool:
         """True where this mode has what it needs."""
@@ -186,7 +185,7 @@ class Px4:
         """COMPONENT_ARM_DISARM 1."""
         if self.armed:
             return Result.ACCEPTED
-        if not self.armable:
+        if not self.armable or self.mode in (Mode.LAND, Mode.RTL):
             self._say(CRITICAL, "Arming denied: resolve system health failures first")
             return Result.TEMPORARILY_REJECTED
         self.armed = self.vehicle.motors_on = True
@@ -236,7 +235,9 @@ class Px4:
         """Advance by STEP_S: faults, failsafes, flight, land detector."""
         self._steps += 1
         self.faults.advance(self.t_s)
-        self._take_single_faults()
+        if self.faults.changes != self._fault_changes:
+            self._fault_changes = self.faults.changes
+            self._take_single_faults()
         self.errors.step()
         self._choose_mode()
         if self.armed:
