@@ -135,6 +135,8 @@ class _PaintedView:
 
     def note(self, change: PhaseChange) -> None:
         """Tell a phase change; none is dropped."""
+        if (pending := self._latest) is not None and pending.t_ns < change.t_ns:
+            self._latest = None  # it would be shown after the change, and show the phase before
         self._told.append(change)
         self._wake.set()
 
