@@ -24,7 +24,7 @@ import msgspec
 
 from companion.config import Config, load
 from companion.exits import Exit
-from companion.picture import PictureError, Truth, draw_flight
+from companion.picture import PictureError, Truth, draw_flight, headline
 from companion.summary import FlightReport, Pose, Problem, shortest_from_m, text
 from companion.types import FlightMode, PhaseChange, Status
 from companion.view import View, ViewKind, open_view
@@ -208,9 +208,7 @@ def _fly(
             "--json", str(out / "flight.json"),
             *itertools.chain.from_iterable(("--config", f) for f in file),
         )  # fmt: skip
-        stack.callback(
-            lambda: [child.ask_to_end() for child in children]
-        )  # all at once, before each is waited for
+        stack.callback(_ask_to_end, children)  # all of them, before each is waited for
         said = []
         for child, line in _lines([mock, operator, companion], deadline):
             if child is not companion:
@@ -224,6 +222,11 @@ def _fly(
         for child in (companion, operator):
             view.tell(f"{child.name:9} {child.ending()}")
         return [] if (out / "flight.json").exists() else said
+
+
+def _ask_to_end(children: Sequence[_Child]) -> None:
+    for child in children:
+        child.ask_to_end()
 
 
 def _endpoints(mock: _Child) -> tuple[str, str, str]:
@@ -309,7 +312,8 @@ def _tell(config: Config, out: Path, stream: IO[str]) -> Exit:
     captured = verdict.captured and flight.summary.captured
     path = [(row.x_m, row.y_m) for row in in_offboard(rows)]
     try:
-        draw_flight(out / "flight.png", flight, Truth(path, target))
+        title = headline(captured, verdict.time_s, verdict.path_m, verdict.path_ratio)
+        draw_flight(out / "flight.png", flight, Truth(path, target), title)
         picture = str(out / "flight.png")
     except PictureError as error:
         picture = f"none: {error}"

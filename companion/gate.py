@@ -1,4 +1,4 @@
-"""Which ranges are believed: known beacon, plausible, in order, fresh. (Outliers are told by the observer.)"""
+"""Which ranges are believed: known beacon, plausible, in order, fresh. Outliers are the observer's matter."""
 
 from __future__ import annotations
 
@@ -27,9 +27,19 @@ class Track(NamedTuple):
 
     session: str
     seq: int
-    least_delay_ns: int | None
-    """Smallest (reception − publisher's clock) of the session: the age of a range is its excess over that,
-    whatever the publisher's clock is set to."""
+    t_ns: int
+    sent_t_ns: int | None = None
+    least_delay_ns: float = 0.0
+    """Smallest (reception − publisher's clock) of late: the age of a range is its excess over that, whatever
+    the publisher's clock is set to."""
+    late_in_a_row: int = 0
+    """Late ranges that came at their own pace, not in a burst: the publisher's clock was set back."""
+
+
+_CLOCK_DRIFT = 2e-4
+"""Two clocks may drift apart by so much; twice what crystals do."""
+_CLOCK_WAS_SET = 10
+"""So many late ranges at their own pace mean that the clock was set, not that the ranges are old."""
 
 
 def judge(cfg: RangesSettings, track: Track | None, sample: RangeSample) -> tuple[Track | None, Verdict]:
@@ -38,16 +48,33 @@ def judge(cfg: RangesSettings, track: Track | None, sample: RangeSample) -> tupl
         return track, Verdict.ABSURD
     if sample.sigma_m is not None and not 0.0 < sample.sigma_m < math.inf:
         return track, Verdict.ABSURD
-    same_session = track is not None and track.session == sample.session
-    least = track.least_delay_ns if track is not None and same_session else None
-    if track is not None and same_session and sample.seq <= track.seq:
+    if track is None or track.session != sample.session:
+        track = Track(sample.session, sample.seq, sample.t_ns)
+    elif sample.seq <= track.seq:
         return track, Verdict.REPEATED if sample.seq == track.seq else Verdict.OUT_OF_ORDER
-    stale = False
-    if sample.sent_t_ns is not None:
-        delay = sample.t_ns - sample.sent_t_ns
-        least = delay if least is None else min(least, delay)
-        stale = delay - least > cfg.max_age_s * 1e9
-    return Track(sample.session, sample.seq, least), Verdict.STALE if stale else Verdict.ACCEPTED
+    if sample.sent_t_ns is None:
+        return track._replace(seq=sample.seq, t_ns=sample.t_ns, sent_t_ns=None), Verdict.ACCEPTED
+    return _judge_age(cfg, track, sample, sample.sent_t_ns)
+
+
+def _judge_age(
+    cfg: RangesSettings, track: Track, sample: RangeSample, sent_t_ns: int
+) -> tuple[Track, Verdict]:
+    """A range that took much longer than the quickest ones has waited somewhere: it is old."""
+    delay = float(sample.t_ns - sent_t_ns)
+    since = sample.t_ns - track.t_ns
+    late_in_a_row = 0
+    least = delay
+    if track.sent_t_ns is not None:
+        least = min(delay, track.least_delay_ns + _CLOCK_DRIFT * since)
+        if delay - least > cfg.max_age_s * 1e9:
+            in_a_burst = since < 0.5 * (sent_t_ns - track.sent_t_ns)
+            late_in_a_row = 0 if in_a_burst else track.late_in_a_row + 1
+    if late_in_a_row >= _CLOCK_WAS_SET:
+        least, late_in_a_row = delay, 0
+    stale = delay - least > cfg.max_age_s * 1e9
+    track = Track(sample.session, sample.seq, sample.t_ns, sent_t_ns, least, late_in_a_row)
+    return track, Verdict.STALE if stale else Verdict.ACCEPTED
 
 
 def sigma_m(cfg: RangesSettings, sample: RangeSample, default_m: float) -> float:

@@ -1,4 +1,4 @@
-"""The last thing before the wire. It trusts nothing: whatever was computed, what leaves is finite and bounded.
+"""The last thing before the wire. It trusts nothing: whatever was computed, what leaves is finite, bounded.
 
 Speed, yaw rate, their slew, climb rate and height band are enforced on every setpoint; flight time, distance
 flown and distance from the start by dead reckoning of what was commanded are budgets: once one is spent, the

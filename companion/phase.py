@@ -53,7 +53,9 @@ class Condition(Enum):
     LEFT_OFFBOARD = "the vehicle left OFFBOARD"
     STOP_ASKED = "stop asked for"
     WAITED_OUT = "waited long enough"
-    OFFBOARD_ALREADY = "OFFBOARD was selected before this app was ready: select another mode, then OFFBOARD again"
+    OFFBOARD_ALREADY = (
+        "OFFBOARD was selected before this app was ready: select another mode, then OFFBOARD again"
+    )
     OTHER_MODE = "another mode is selected: OFFBOARD can be chosen anew"
     INPUTS_MISSING = "telemetry or ranges stopped"
     READY = "vehicle and ranges are there: waiting for OFFBOARD"

@@ -45,8 +45,10 @@ class Truth(NamedTuple):
     target: tuple[float, float]
 
 
-def draw_flight(path: Path, flight: FlightReport, truth: Truth | None = None) -> None:
-    """Write the picture of a flight as PNG.
+def draw_flight(
+    path: Path, flight: FlightReport, truth: Truth | None = None, title: str | None = None
+) -> None:
+    """Write the picture of a flight as PNG. With a truth, the shortest path is the one to the true target.
 
     Raises `PictureError` where Matplotlib is not installed or no position is known, `OSError` where the file
     cannot be written.
@@ -60,7 +62,9 @@ def draw_flight(path: Path, flight: FlightReport, truth: Truth | None = None) ->
         raise PictureError("no position of the vehicle is known")
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), wspace=0.05)
-    figure.suptitle(headline(flight), fontsize=14, fontweight="bold", color=_INK, x=0.012, ha="left")
+    s = flight.summary
+    title = title or headline(s.captured, s.time_s, s.path_m, s.path_ratio)
+    figure.suptitle(title, fontsize=14, fontweight="bold", color=_INK, x=0.012, ha="left")
     _map(figure.add_subplot(grid[:, 0]), flight, trail, truth)
     first = figure.add_subplot(grid[0, 1])
     others = [figure.add_subplot(grid[row, 1], sharex=first) for row in (1, 2)]
@@ -74,14 +78,13 @@ def draw_flight(path: Path, flight: FlightReport, truth: Truth | None = None) ->
     figure.savefig(path, format="png", facecolor="white")
 
 
-def headline(flight: FlightReport) -> str:
-    """The flight in one line."""
-    s = flight.summary
-    parts = ["Target captured" if s.captured else "Target not captured"]
-    if s.time_s is not None and s.path_m is not None:
-        parts.append(f"{s.time_s:.1f} s, {s.path_m:.2f} m flown")
-    if s.path_ratio is not None:
-        parts.append(f"{s.path_ratio:.2f} × the shortest path")
+def headline(captured: bool, time_s: float | None, path_m: float | None, path_ratio: float | None) -> str:
+    """A flight in one line."""
+    parts = ["Target captured" if captured else "Target not captured"]
+    if time_s is not None and path_m is not None:
+        parts.append(f"{time_s:.1f} s, {path_m:.2f} m flown")
+    if path_ratio is not None:
+        parts.append(f"{path_ratio:.2f} × the shortest path")
     return "  ·  ".join(parts)
 
 

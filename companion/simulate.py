@@ -116,7 +116,7 @@ def _ignore(_: object) -> None:
 def fly_many(
     config: Config, runs: int, seed: int, progress: Callable[[int], None] = _ignore
 ) -> list[FlightResult]:
-    """`runs` flights with the seeds seed, seed + 1, …, on all cores. The results do not depend on the cores."""
+    """`runs` flights with the seeds seed, seed + 1, …, on all cores; how many does not change the results."""
     seeds = range(seed, seed + runs)
     if runs < 8:
         return list(_counted((fly_one(config, s) for s in seeds), progress))

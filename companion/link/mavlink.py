@@ -1,7 +1,7 @@
-"""The vehicle over MAVLink 2: telemetry to events, outputs to messages. The NED signs live here and only here.
+"""The vehicle over MAVLink 2: telemetry to events, outputs to messages. The NED signs live here alone.
 
-MAVLink's local frame is x North, y East, z down, yaw clockwise from North; ours is x East, y North, height up,
-heading counter-clockwise from East (see `companion.types`).
+MAVLink's local frame is x North, y East, z down, yaw clockwise from North; ours is x East, y North, height
+up, heading counter-clockwise from East (see `companion.types`).
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ class VehicleLink:
     def _ask_for_telemetry(self, t_ns: int) -> None:
         """Once a heartbeat: ask anew for each message that does not come at the rate wanted.
 
-        No bookkeeping of acks: after a reboot, or on a link that lost the request, the rate is wrong and asked
-        for again.
+        No bookkeeping of acks: after a reboot, or on a link that lost the request, the rate is wrong and
+        asked for again.
         """
         since_s = (t_ns - self._t_counted_ns) * 1e-9
         if since_s < 0.5:

@@ -29,7 +29,7 @@ class Transport(Protocol):
 
 
 class Udp:
-    """A datagram socket; bound (`udpin`) it answers whoever spoke last, unbound (`udpout`) it knows its peer."""
+    """A datagram socket; bound (`udpin`) it answers who spoke last, unbound (`udpout`) it knows its peer."""
 
     def __init__(self, bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -92,8 +92,8 @@ class RangeLink:
 
     def close(self) -> None:
         """Leave the network."""
-        self._subscriber.undeclare()
-        self._session.close()
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 def to_event(raw: _Raw) -> Event:
@@ -125,4 +125,3 @@ def to_event(raw: _Raw) -> Event:
 
 
 _GOOD = frozenset({"ok", "success"})
-
