@@ -14,6 +14,10 @@ from typing import NamedTuple
 from sitl_mock.scenario import TelemetryKind
 from sitl_mock.vehicle import STEP_S
 
+_STEPS = 5
+"""The errors move every fifth step: they vary over seconds."""
+_UPDATE_S = _STEPS * STEP_S
+
 
 class Spread(NamedTuple):
     """One error: standard deviation of its constant part and of its varying part, and the latter's τ."""
@@ -41,8 +45,8 @@ QUALITY: dict[TelemetryKind, Quality] = {
     # Recorded over 130 s of turning flight: sensor noise × 0.1.
     "quiet": Quality(
         position=Spread(0.013, 0.0165, 1.7),
-        height=Spread(0.03, 0.042, 3.3),
-        velocity=Spread(0.0, 0.024, 1.2),
+        height=Spread(0.03, 0.045, 4.2),
+        velocity=Spread(0.0, 0.024, 1.4),
         climb=Spread(0.0, 0.0164, 2.9),
         heading=Spread(0.002, 0.008, 5.0),
         yaw_rate_noise_rad_s=0.0032,
@@ -50,10 +54,10 @@ QUALITY: dict[TelemetryKind, Quality] = {
     # The same flight with stock noise, which is a poor GPS.
     "stock": Quality(
         position=Spread(0.14, 0.155, 1.7),
-        height=Spread(0.33, 0.376, 3.3),
-        velocity=Spread(0.02, 0.235, 1.2),
-        climb=Spread(0.0, 0.168, 1.8),
-        heading=Spread(0.077, 0.07, 6.0),
+        height=Spread(0.33, 0.4, 4.2),
+        velocity=Spread(0.02, 0.235, 1.4),
+        climb=Spread(0.0, 0.168, 2.0),
+        heading=Spread(0.077, 0.075, 8.0),
         yaw_rate_noise_rad_s=0.0142,
     ),
 }
@@ -65,7 +69,7 @@ class _Error:
     __slots__ = ("_first", "_gain", "_noise", "_second", "constant", "value")
 
     def __init__(self, spread: Spread, random: Random) -> None:
-        decay = exp(-STEP_S / spread.tau_s)
+        decay = exp(-_UPDATE_S / spread.tau_s)
         # A lag fed by a lag of equal τ has half its variance: the first one varies by √2 more.
         sigma = spread.varying * sqrt(2.0)
         self._gain = 1.0 - decay
@@ -95,6 +99,7 @@ class EstimateErrors:
         "_random",
         "_vx",
         "_vy",
+        "_wait",
         "_x",
         "_y",
         "_yaw_noise",
@@ -119,13 +124,18 @@ class EstimateErrors:
         self._errors = (self._x, self._y, self._vx, self._vy, self._height, self._climb, self._heading)
         self._yaw_noise = quality.yaw_rate_noise_rad_s
         self._drift_x, self._drift_y = drift_x_m_s, drift_y_m_s
+        self._wait = _STEPS
         # The autopilot does not see the drift: its position lags further and further behind the truth.
         self._take()
 
     def step(self) -> None:
         """Advance by STEP_S."""
-        self._x.constant -= self._drift_x * STEP_S
-        self._y.constant -= self._drift_y * STEP_S
+        self._wait -= 1
+        if self._wait:
+            return
+        self._wait = _STEPS
+        self._x.constant -= self._drift_x * _UPDATE_S
+        self._y.constant -= self._drift_y * _UPDATE_S
         if self._perfect:
             self._x.value, self._y.value = self._x.constant, self._y.constant
             self.x_m, self.y_m = self._x.value, self._y.value

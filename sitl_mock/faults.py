@@ -83,6 +83,8 @@ class Faults:
                 edges.append((start_s + duration_s, False, fault))
         self._edges = sorted(edges, key=lambda edge: edge[0], reverse=True)
         self._on: set[Fault] = set()
+        self.any = False
+        """True while anything is on."""
         self.changes = 0
         """How often anything was switched: an owner that acts on the moment of switching looks at this."""
 
@@ -95,8 +97,9 @@ class Faults:
     def switch(self, fault: Fault, on: bool) -> None:
         """Switch a fault on or off now."""
         (self._on.add if on else self._on.discard)(fault)
+        self.any = bool(self._on)
         self.changes += 1
 
     def active(self, fault: Fault) -> bool:
         """True while this fault is on."""
-        return bool(self._on) and fault in self._on  # hashing an enum is slow, and mostly nothing is on
+        return self.any and fault in self._on  # hashing an enum is slow, and mostly nothing is on

@@ -158,8 +158,10 @@ class World:
             self._person()
             if truth.due(step):
                 self._sample()
-            reachable = not px4.booting and not self.faults.active(Fault.LINK_LOSS)
-            telling = reachable and not self.faults.active(Fault.TELEMETRY_STOP)
+            reachable = telling = not px4.booting
+            if self.faults.any:
+                reachable = reachable and not self.faults.active(Fault.LINK_LOSS)
+                telling = reachable and not self.faults.active(Fault.TELEMETRY_STOP)
 
             if heartbeat.due(step) and reachable and not self.faults.active(Fault.HEARTBEAT_STOP):
                 yield VehicleHeartbeat(t_ns, 1, WIRE[px4.mode].name, px4.armed)
