@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from companion.summary import FlightReport, PhaseSpan, Pose, Problem, TrailPoint
+from companion.summary import FlightReport, PhaseSpan, Pose, Problem, TrailPoint, shortest_from_m
 from companion.types import Phase
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ _COLOUR = {
 _OTHER = "#b8bdc4"
 _INK = "#22262b"
 _FAINT = "#8a9099"
-_ESTIMATE = "#1b1f24"
 
 
 class PictureError(Exception):
@@ -129,76 +128,62 @@ def _arc_and_line(
 
 
 def _map(axes: Axes, flight: FlightReport, trail: Sequence[TrailPoint], truth: Truth | None) -> None:
-    from matplotlib.patches import Circle
-
-    s, radius_m = flight.summary, flight.problem.radius_m
+    s = flight.summary
+    start = s.start or _first_pose(trail)
+    target = None if s.target_x_m is None or s.target_y_m is None else (s.target_x_m, s.target_y_m)
     if truth is not None:
         axes.plot(*zip(*truth.path, strict=True), color=_FAINT, lw=1.0, zorder=2, label="true path")
-        axes.plot(
-            *truth.target,
-            marker="*",
-            ms=15,
-            color="#f2b705",
-            mec=_INK,
-            mew=0.8,
-            ls="",
-            zorder=6,
-            label="true target",
-        )
-        axes.add_patch(Circle(truth.target, radius_m, fc="#f2b705", alpha=0.16, ec="none", zorder=1))
-    if s.target_x_m is not None and s.target_y_m is not None:
-        target = (s.target_x_m, s.target_y_m)
-        axes.plot(
-            *target,
-            marker="x",
-            ms=8,
-            mew=1.8,
-            color=_ESTIMATE,
-            ls="",
-            zorder=7,
-            label="target, estimated last",
-        )
-        axes.add_patch(
-            Circle(target, radius_m, fill=False, ec=_ESTIMATE, lw=1.1, zorder=3, label="capture radius")
-        )
-        shortest = shortest_path(s.start, target, flight.problem) if s.start is not None else []
-        if shortest:
-            axes.plot(
-                *zip(*shortest, strict=True),
-                color=_INK,
-                ls=(0, (4, 3)),
-                lw=1.2,
-                zorder=4,
-                label=f"shortest path, {s.shortest_m:.2f} m" if s.shortest_m else "shortest path",
-            )
+        _target(axes, truth.target, flight.problem.radius_m, "*", "#f2b705", "true target")
+    if target is not None:
+        _target(axes, target, flight.problem.radius_m, "x", _INK, "target, estimated last")
+    aim = truth.target if truth is not None else target
+    if start is not None and aim is not None:
+        _shortest(axes, start, aim, flight.problem)
     for phase, xs, ys in _runs(trail):
         axes.plot(xs, ys, color=_COLOUR.get(phase, _OTHER), lw=2.8, solid_capstyle="round", zorder=5)
-    start = s.start or _first_pose(trail)
     if start is not None:
-        nose = (start.x_m + 0.9 * math.cos(start.heading_rad), start.y_m + 0.9 * math.sin(start.heading_rad))
-        arrow = {"arrowstyle": "-|>", "lw": 1.6, "color": _INK, "mutation_scale": 16}
-        axes.annotate("", xy=nose, xytext=(start.x_m, start.y_m), zorder=8, arrowprops=arrow)
-        axes.plot(start.x_m, start.y_m, "o", ms=6, color="white", mec=_INK, mew=1.5, zorder=9)
-        axes.annotate(
-            "start",
-            (start.x_m, start.y_m),
-            textcoords="offset points",
-            xytext=(-8, -14),
-            fontsize=9,
-            color=_INK,
-            ha="right",
-        )
+        _start(axes, start)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.set_xlabel("East, m", color=_INK, fontsize=9)
     axes.set_ylabel("North, m", color=_INK, fontsize=9)
     _dress(axes)
-    handles, labels = axes.get_legend_handles_labels()
     for phase in dict.fromkeys(p.phase for p in trail if p.phase.is_engaged):
-        handles += axes.plot([], [], color=_COLOUR.get(phase, _OTHER), lw=2.8)
-        labels.append(phase.value)
-    axes.legend(handles, labels, fontsize=8.5, frameon=False, ncols=4, loc="upper center",
-                bbox_to_anchor=(0.5, -0.085), columnspacing=1.4, handlelength=1.8)  # fmt: skip
+        axes.plot([], [], color=_COLOUR.get(phase, _OTHER), lw=2.8, label=phase.value)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8.5, frameon=False, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.085),
+                    columnspacing=1.4, handlelength=1.8)  # fmt: skip
+
+
+def _target(
+    axes: Axes, at: tuple[float, float], radius_m: float, marker: str, colour: str, label: str
+) -> None:
+    """A target and its capture disc: filled for the true one, a rim for the estimated one."""
+    from matplotlib.patches import Circle
+
+    true = marker == "*"
+    size, edge = (15, 0.8) if true else (8, 1.8)
+    axes.plot(*at, marker=marker, ms=size, color=colour, mec=_INK, mew=edge, ls="", zorder=6, label=label)
+    disc = {"fc": colour, "alpha": 0.16, "ec": "none"} if true else {"fill": False, "ec": colour, "lw": 1.1}
+    axes.add_patch(Circle(at, radius_m, zorder=3, **disc))
+
+
+def _shortest(axes: Axes, start: Pose, target: tuple[float, float], problem: Problem) -> None:
+    points = shortest_path(start, target, problem)
+    if points:
+        label = f"shortest path, {shortest_from_m(start, *target, problem):.2f} m"
+        axes.plot(*zip(*points, strict=True), color=_INK, ls=(0, (4, 3)), lw=1.2, zorder=4, label=label)
+
+
+def _start(axes: Axes, start: Pose) -> None:
+    at = (start.x_m, start.y_m)
+    nose = (start.x_m + 0.9 * math.cos(start.heading_rad), start.y_m + 0.9 * math.sin(start.heading_rad))
+    arrow = {"arrowstyle": "-|>", "lw": 1.6, "color": _INK, "mutation_scale": 16}
+    axes.annotate("", xy=nose, xytext=at, zorder=8, arrowprops=arrow)
+    axes.plot(*at, "o", ms=6, color="white", mec=_INK, mew=1.5, zorder=9)
+    axes.annotate(
+        "start", at, textcoords="offset points", xytext=(-8, -14), fontsize=9, color=_INK, ha="right"
+    )
 
 
 def _runs(trail: Sequence[TrailPoint]) -> list[tuple[Phase, list[float], list[float]]]:

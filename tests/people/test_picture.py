@@ -15,7 +15,7 @@ from companion.guidance.model import shortest_path_m
 from companion.picture import PictureError, Truth, draw_flight, headline, shortest_path
 from companion.summary import FlightLog, Pose, Problem, report
 from companion.types import AnyOutput, Phase
-from people.flights import RADIUS_M, SPEED_M_S, TARGET, YAW_RATE_RAD_S, change, flight, status
+from tests.people.flights import RADIUS_M, SPEED_M_S, TARGET, YAW_RATE_RAD_S, change, flight, status
 
 PROBLEM = Problem(RADIUS_M, SPEED_M_S, YAW_RATE_RAD_S)
 
@@ -47,10 +47,11 @@ def test_a_flight_is_drawn(tmp_path: Path) -> None:
 
 
 def test_the_headline_says_how_it_went() -> None:
-    log = FlightLog()
-    for output in flight():
-        log.add(output)
-    assert headline(report(log, PROBLEM)).startswith("Target captured  ·  19.0 s")
+    assert (
+        headline(True, 14.24, 7.1, 1.032)
+        == "Target captured  ·  14.2 s, 7.10 m flown  ·  1.03 × the shortest path"
+    )
+    assert headline(False, None, None, None) == "Target not captured"
 
 
 @pytest.mark.parametrize(

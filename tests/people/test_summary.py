@@ -21,7 +21,7 @@ from companion.summary import (
     text,
 )
 from companion.types import AnyOutput, Estimate, Phase, Setpoint, Severity, Status
-from people.flights import RADIUS_M, SPEED_M_S, TARGET, YAW_RATE_RAD_S, change, flight, status
+from tests.people.flights import RADIUS_M, SPEED_M_S, TARGET, YAW_RATE_RAD_S, change, flight, status
 
 PROBLEM = Problem(RADIUS_M, SPEED_M_S, YAW_RATE_RAD_S)
 

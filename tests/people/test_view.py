@@ -23,7 +23,7 @@ from companion.view import (
     panel,
     plain_line,
 )
-from people.flights import T0_NS, change, flight, status
+from tests.people.flights import T0_NS, change, flight, status
 
 
 def shown(s: Status, width: int = 80) -> str:
