@@ -9,12 +9,13 @@ import sys
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 
 from sitl_mock.faults import Fault, FaultAt, parse_fault
 from sitl_mock.params import Params
-from sitl_mock.scenario import Scenario
+from sitl_mock.scenario import BeaconAt, Scenario, TelemetryKind
 
 _DESCRIPTION = """\
 A stand-in for a PX4 quadrotor and its UWB beacons: MAVLink 2 over UDP on an onboard and a ground station's
@@ -42,7 +43,7 @@ def load_scenario(path: Path) -> Scenario:
         raise ValueError(f"{path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: {error}") from None
-    if isinstance(table, dict):
+    if isinstance(table, dict):  # msgspec names an unknown key, but neither its value nor the known ones
         unknown = sorted(set(table) - set(Scenario.__struct_fields__))
         if unknown:
             allowed = ", ".join(Scenario.__struct_fields__)
@@ -53,14 +54,25 @@ def load_scenario(path: Path) -> Scenario:
         return msgspec.convert(table, Scenario)
     except msgspec.ValidationError as error:
         what, _, where = str(error).partition(" - at `$")
-        keys = where.rstrip("`").strip(".")
-        value: object = table
-        for key in keys.replace("[", ".[").split("."):
-            if key.startswith("[") and isinstance(value, list) and key[1:-1].isdecimal():
-                value = value[int(key[1:-1])]
-            elif isinstance(value, dict):
-                value = value.get(key, value)
-        raise ValueError(f"{path}: sim.{keys} = {value!r}: {what}") from None
+        keys = where.rstrip("`")
+        raise ValueError(f"{path}: sim{keys} = {_value_at(table, keys)!r}: {what}{_allowed(what)}") from None
+
+
+def _value_at(table: object, keys: str) -> object:
+    """What stands at a path like `.beacons[0].x_m`."""
+    for key in keys.replace("[", ".[").split("."):
+        if key.startswith("[") and isinstance(table, list):
+            table = table[int(key[1:-1])]
+        elif isinstance(table, dict) and key:
+            table = table[key]
+    return table
+
+
+def _allowed(what: str) -> str:
+    """What msgspec does not say by itself."""
+    if "enum" in what:
+        return f"; allowed: {', '.join(get_args(TelemetryKind))}"
+    return f"; allowed: {', '.join(BeaconAt.__struct_fields__)}" if "unknown field" in what else ""
 
 
 def _endpoint(text: str) -> str | None:

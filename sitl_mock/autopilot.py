@@ -95,10 +95,10 @@ class Autopilot:
         self.home_x_m, self.home_y_m, self.home_height_m = self._position()
 
     def set_take_off(self, height_m: float | None) -> None:
-        """Take off to this local height; None: MIS_TAKEOFF_ALT above here."""
-        self._take_off_height = (
-            height_m if height_m is not None else self.height_m + self._params["MIS_TAKEOFF_ALT"]
-        )
+        """Take off to this local height; None: MIS_TAKEOFF_ALT above home. Never downwards."""
+        if height_m is None:
+            height_m = self.home_height_m + self._params["MIS_TAKEOFF_ALT"]
+        self._take_off_height = max(height_m, self.height_m)
 
     def enter(self, mode: Mode) -> None:
         """Begin to fly this mode from here."""

@@ -18,7 +18,7 @@ from sitl_mock.autopilot import Target
 from sitl_mock.faults import Fault
 from sitl_mock.modes import BY_CUSTOM, Mode, Result
 from sitl_mock.px4 import Px4
-from sitl_mock.streams import BUILDERS, GCS_HZ, ONBOARD_HZ, ORIGIN_ALTITUDE_M, Message, view
+from sitl_mock.streams import BUILDERS, GCS_HZ, MOTION, ONBOARD_HZ, ORIGIN_ALTITUDE_M, Message, view
 from sitl_mock.vehicle import STEP_S, wrap
 
 _FORCE_DISARM = 21196.0
@@ -44,6 +44,9 @@ class Link(Enum):
     GCS = "ground station"
 
 
+_RATES = {Link.ONBOARD: ONBOARD_HZ, Link.GCS: GCS_HZ}
+
+
 class Outgoing(NamedTuple):
     """A message to send, and where."""
 
@@ -62,10 +65,11 @@ class _Stream:
 
 
 class Protocol:
-    """The autopilot's end of both links."""
+    """The autopilot's end of both links. Without `motion` it tells nothing of its position and motion."""
 
-    def __init__(self, px4: Px4) -> None:
+    def __init__(self, px4: Px4, motion: bool = True) -> None:
         self.px4 = px4
+        self._builders = {i: b for i, b in BUILDERS.items() if motion or i not in MOTION}
         px4.on_reboot = self._reset
         self._out: list[Outgoing] = []
         self._steps = 0
@@ -76,8 +80,8 @@ class Protocol:
         self._params_due: deque[tuple[Link, str]] = deque()
         self._gcs_seen: set[Link] = set()
         self._streams: dict[Link, dict[int, _Stream]] = {
-            Link.ONBOARD: {i: _Stream(hz, self._steps) for i, hz in ONBOARD_HZ.items()},
-            Link.GCS: {i: _Stream(hz, self._steps) for i, hz in GCS_HZ.items()},
+            link: {i: _Stream(hz, self._steps) for i, hz in rates.items() if i in self._builders}
+            for link, rates in _RATES.items()
         }
 
     # --------------------------------------------------------------------------------------------- out
@@ -114,7 +118,7 @@ class Protocol:
                     continue
                 if now is None:
                     now = view(self.px4)
-                message = BUILDERS[message_id](self.px4, now)
+                message = self._builders[message_id](self.px4, now)
                 if message is not None:
                     self._send(link, message)
 
@@ -252,7 +256,8 @@ class Protocol:
         px4, command = self.px4, m.command
         long = m.get_type() == "COMMAND_LONG"
         if command == mavlink.MAV_CMD_DO_SET_MODE:
-            mode = BY_CUSTOM.get((_number(m.param2), _number(m.param3)))
+            custom = _number(m.param1) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            mode = BY_CUSTOM.get((_number(m.param2), _number(m.param3))) if custom else None
             return Result.DENIED if mode is None else px4.set_mode(mode)
         if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             if m.param1 >= 0.5:
@@ -285,12 +290,12 @@ class Protocol:
         return Result.UNSUPPORTED
 
     def _set_interval(self, link: Link, message_id: int, interval_us: float) -> Result:
-        if message_id not in BUILDERS:
+        if message_id not in self._builders:
             return Result.FAILED
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return Result.ACCEPTED  # recorded: its rate cannot be changed
         streams = self._streams[link]
-        default = (ONBOARD_HZ if link is Link.ONBOARD else GCS_HZ).get(message_id)
+        default = _RATES[link].get(message_id)
         rate = default if interval_us == 0 else 1e6 / interval_us if interval_us > 0 else None
         streams.pop(message_id, None)
         if rate is not None:
@@ -298,7 +303,7 @@ class Protocol:
         return Result.ACCEPTED
 
     def _request(self, link: Link, message_id: int) -> Result:
-        builder = BUILDERS.get(message_id)
+        builder = self._builders.get(message_id)
         message = builder(self.px4, view(self.px4)) if builder is not None else None
         if message is None:
             return Result.DENIED
@@ -315,11 +320,16 @@ class Protocol:
             name = names[m.param_index] if 0 <= m.param_index < len(names) else m.param_id
             self._send_param(link, name)
         elif kind == "PARAM_SET":
-            value = m.param_value
-            if m.param_type == mavlink.MAV_PARAM_TYPE_INT32:
-                value = struct.unpack("<i", struct.pack("<f", value))[0]
-            self.px4.params.set(m.param_id, value)
+            self._set_param(m.param_id, m.param_type, m.param_value)
             self._send_param(link, m.param_id)
+
+    def _set_param(self, name: str, kind: int, value: float) -> None:
+        """Refused, as PX4 does, where the type is not the parameter's; integers travel bit for bit."""
+        old = self.px4.params.get(name)
+        if isinstance(old, int) and kind == mavlink.MAV_PARAM_TYPE_INT32:
+            self.px4.params.set(name, struct.unpack("<i", struct.pack("<f", value))[0])
+        elif isinstance(old, float) and kind == mavlink.MAV_PARAM_TYPE_REAL32 and isfinite(value):
+            self.px4.params.set(name, value)
 
     def _send_param(self, link: Link, name: str) -> None:
         """PARAM_VALUE; silence for a name that is not there, as PX4 does. Integers travel bit for bit."""

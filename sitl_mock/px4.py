@@ -32,6 +32,16 @@ CRITICAL, WARNING, INFO = 2, 4, 6
 _DRAIN_1_S = 0.0164
 """Recorded: SIH drains its battery so fast in flight."""
 
+_STREAM_LOST: dict[int, tuple[Mode, ...]] = {
+    0: (Mode.POSCTL, Mode.ALTCTL),
+    1: (Mode.ALTCTL,),
+    2: (Mode.MANUAL,),
+    3: (Mode.RTL, Mode.LAND),
+    4: (Mode.LAND,),
+    5: (Mode.LOITER, Mode.RTL, Mode.LAND),
+}
+"""What COM_OBL_RC_ACT wishes for, best first; what can run of it is flown, or else the blind descent."""
+
 
 class Notice(NamedTuple):
     """A STATUSTEXT: MAV_SEVERITY and words."""
@@ -292,8 +302,10 @@ class Px4:
             mode, failsafe = self._forced, True
         elif self.can_run(self.intended):
             mode, failsafe = self.intended, False
+        elif self.intended is Mode.OFFBOARD and self.params["COM_OBL_RC_ACT"] in (6, 7):
+            self._disarm("Disarmed by failsafe")
+            return
         else:
-            # A descent once chosen is kept: a landing does not turn into another one near the ground.
             mode, failsafe = self._fallback(), True
         if failsafe and not self.failsafe:
             self._say(
@@ -307,20 +319,9 @@ class Px4:
 
     def _fallback(self) -> Mode:
         """What is flown instead of the intended mode: COM_OBL_RC_ACT for OFFBOARD, then the next best."""
-        wish: tuple[Mode, ...] = (Mode.POSCTL,)
+        wish: tuple[Mode, ...] = (Mode.POSCTL, Mode.LAND)
         if self.intended is Mode.OFFBOARD:
-            action = int(self.params["COM_OBL_RC_ACT"])
-            if action in (6, 7):
-                self._disarm("Disarmed by failsafe")
-                return Mode.OFFBOARD
-            wish = {
-                0: (Mode.POSCTL, Mode.ALTCTL),
-                1: (Mode.ALTCTL,),
-                2: (Mode.MANUAL,),
-                3: (Mode.RTL, Mode.LAND),
-                4: (Mode.LAND,),
-                5: (Mode.LOITER, Mode.RTL, Mode.LAND),
-            }.get(action, ())
+            wish = _STREAM_LOST.get(int(self.params["COM_OBL_RC_ACT"]), ())
         return next((mode for mode in wish if self.can_run(mode)), Mode.DESCEND)
 
     def _detect_landing(self) -> None:

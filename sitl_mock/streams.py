@@ -334,6 +334,22 @@ BUILDERS: dict[int, Callable[[Px4, View], Message | None]] = {
 }
 """How every message that can be streamed or requested is made; None: there is nothing to tell now."""
 
+MOTION = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_ODOMETRY,
+        mavlink.MAVLINK_MSG_ID_HIGHRES_IMU,
+        mavlink.MAVLINK_MSG_ID_ALTITUDE,
+        mavlink.MAVLINK_MSG_ID_VFR_HUD,
+    }
+)
+"""What tells of position and motion: never sent where the scenario's telemetry is "none"."""
+
 ONBOARD_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 100,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50,

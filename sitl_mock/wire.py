@@ -66,6 +66,8 @@ class Udp:
         host, _, port = where.removeprefix("//").rpartition(":")
         if kind not in ("udpin", "udpout") or not host or not port.isdecimal() or int(port) > 65_535:
             raise ValueError(f"MAVLink URL {url!r}: must be udpout:HOST:PORT or udpin:HOST:PORT")
+        if kind == "udpout" and not int(port):
+            raise ValueError(f"MAVLink URL {url!r}: the peer's port must be above 0")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
         self._socket.setblocking(False)
@@ -182,13 +184,13 @@ class Wire:
         params: Params | None = None,
         truth_log: Path | None = None,
     ) -> None:
+        self._truth: TextIO | None = truth_log.open("w") if truth_log is not None else None
         x, y, heading = start_pose(scenario, seed)
         params = params or Params()
         self.faults = Faults(faults)
         self.vehicle = Vehicle(scenario, x, y, 0.0, heading)
         self.px4 = Px4(scenario, seed, self.vehicle, params, self.faults)
-        self._protocol = Protocol(self.px4)
-        self._told = scenario.telemetry != "none"
+        self._protocol = Protocol(self.px4, motion=scenario.telemetry != "none")
         urls = {Link.ONBOARD: endpoints.onboard, Link.GCS: endpoints.gcs}
         self.links = {
             link: Udp(url, self._protocol.system_id) for link, url in urls.items() if url is not None
@@ -203,7 +205,6 @@ class Wire:
         ]
         self._ranges = RangePublisher(endpoints, [at.id for at in scenario.beacons])
         self._loss = Random(f"{seed}/loss")
-        self._truth: TextIO | None = truth_log.open("w") if truth_log is not None else None
         self._truth_clock = Clock(50.0)
         self._steps = 0
 

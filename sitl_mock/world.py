@@ -155,6 +155,7 @@ class World:
             self._step += 1
             step, t_ns = self._step, self.t_ns
             px4.step()
+            px4.notices.clear()
             self._person()
             if truth.due(step):
                 self._sample()

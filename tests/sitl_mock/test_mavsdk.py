@@ -8,7 +8,8 @@ from math import hypot
 from typing import Any
 
 import pytest
-from mock_process import free_udp_port, running_mock
+
+from tests.sitl_mock.process import free_udp_port, running_mock
 
 pytest.importorskip("mavsdk")
 

@@ -22,7 +22,7 @@ from sitl_mock.vehicle import STEP_S, Vehicle
 
 DATA = Path(__file__).parent.parent / "data"
 Row = dict[str, Any]
-"""One message: `t` seconds, `dir` "rx" (from the autopilot), "tx" or "note", `msg` its name, then its fields."""
+"""One message: `t` seconds, `dir` "rx" (from the autopilot), "tx" or "note", `msg` its name, its fields."""
 SCENARIO = Scenario(start_x_m=0.0, start_y_m=0.0, start_heading_rad=pi / 2)
 """The recordings begin at the origin, the nose to the North."""
 
@@ -90,7 +90,9 @@ class Bench:
             self._steps += 1
             for link, message in self.protocol.step():
                 fields = {name: getattr(message, name) for name in message.fieldnames}
-                self.rows.append({"t": self.t, "dir": "rx", "link": link, "msg": message.get_type(), **fields})
+                self.rows.append(
+                    {"t": self.t, "dir": "rx", "link": link, "msg": message.get_type(), **fields}
+                )
 
     def last(self, name: str) -> Row:
         """The newest message with this name."""
@@ -123,7 +125,9 @@ def received(rows: tuple[Row, ...] | list[Row], name: str) -> Iterator[Row]:
     return (row for row in rows if row["dir"] == "rx" and row["msg"] == name)
 
 
-def changes(rows: tuple[Row, ...] | list[Row], name: str, *fields: str) -> list[tuple[float, tuple[Any, ...]]]:
+def changes(
+    rows: tuple[Row, ...] | list[Row], name: str, *fields: str
+) -> list[tuple[float, tuple[Any, ...]]]:
     """When these fields of a message took which values: one entry for every change."""
     found: list[tuple[float, tuple[Any, ...]]] = []
     for row in received(rows, name):
