@@ -76,19 +76,19 @@ def conditions(f: Facts) -> Iterator[Condition]:
     """What holds, most important first."""
     offboard = f.actual is FlightMode.OFFBOARD
     inputs = not (f.vehicle_gone or f.telemetry_late) and f.actual is not None
-    if f.was_engaged and f.armed is False:
+    if f.was_engaged and not f.armed:
         yield Condition.FLIGHT_OVER
     if f.vehicle_gone:
         yield Condition.VEHICLE_GONE
-    if f.actual is not None and not offboard:
+    if not offboard:
         yield Condition.LEFT_OFFBOARD
     if f.stop_asked:
         yield Condition.STOP_ASKED
     if f.waited_out:
         yield Condition.WAITED_OUT
-    if offboard or f.intended is FlightMode.OFFBOARD:
+    if not f.vehicle_gone and (offboard or f.intended is FlightMode.OFFBOARD):
         yield Condition.OFFBOARD_ALREADY
-    elif f.intended is not None:
+    elif not f.vehicle_gone and f.intended is not None:
         yield Condition.OTHER_MODE
     if not inputs or f.ranges in (Ranges.STALE, Ranges.LOST):
         yield Condition.INPUTS_MISSING
@@ -132,7 +132,6 @@ _LEAVE = {
 TABLE: dict[Phase, dict[Condition, Phase]] = {
     _P.AWAIT: {
         _C.FLIGHT_OVER: _P.ENDED,
-        _C.VEHICLE_GONE: _P.AWAIT,
         _C.STOP_ASKED: _P.ENDED,
         _C.WAITED_OUT: _P.ENDED,
         _C.OFFBOARD_ALREADY: _P.INHIBITED,
@@ -187,7 +186,6 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
     },
     _P.RELEASED: {
         _C.FLIGHT_OVER: _P.ENDED,
-        _C.VEHICLE_GONE: _P.RELEASED,
         _C.STOP_ASKED: _P.ENDED,
         _C.OTHER_MODE: _P.AWAIT,
     },

@@ -1,0 +1,345 @@
+"""What the pure core does with a flight: engagement, silence, losses, hand-over, pace."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion import pilot
+from companion.gate import Verdict
+from companion.settings import LimitSettings, LossSettings, Settings, StreamSettings, VehicleSettings
+from companion.types import (
+    Attitude,
+    CompanionHeartbeat,
+    Defect,
+    Event,
+    FlightMode,
+    Landed,
+    LandedReport,
+    LineOfSight,
+    LocalMotion,
+    Malformed,
+    ModeReport,
+    ModeRequest,
+    Phase,
+    PhaseChange,
+    RangeSample,
+    Setpoint,
+    Status,
+    StopRequest,
+    SystemStatus,
+    Tick,
+    VehicleHeartbeat,
+)
+from tests.core.flights import LOITER, MS, OFFBOARD, Flown, Script, engaged, fly
+
+
+def last_status(flown: Flown) -> Status:
+    status = flown.of(Status)[-1]
+    assert isinstance(status, Status)
+    return status
+
+
+def setpoints(flown: Flown) -> list[Setpoint]:
+    return [s for s in flown.outputs if isinstance(s, Setpoint)]
+
+
+def test_it_says_what_it_waits_for_and_is_silent_until_it_has_it() -> None:
+    script = Script()
+    script.range_m = None
+    flown = fly(script.run(3.0))
+    assert flown.state.phase is Phase.AWAIT
+    assert not setpoints(flown)
+    (awaited,) = last_status(flown).awaited
+    assert "ranges of beacon 'b1'" in awaited
+    assert "lab" in awaited
+
+
+def test_standstill_is_streamed_before_engagement_and_the_height_is_the_present_one() -> None:
+    script = Script()
+    flown = fly(script.run(3.0))
+    assert flown.state.phase is Phase.STANDBY
+    sent = setpoints(flown)
+    assert len(sent) > 40
+    assert all((s.speed_m_s, s.yaw_rate_rad_s, s.height_m) == (0.0, 0.0, 3.0) for s in sent)
+
+
+def test_it_engages_when_a_person_selects_offboard_and_moves() -> None:
+    flown = engaged(Script())
+    assert flown.state.phase in (Phase.ACQUIRE, Phase.APPROACH)
+    assert max(s.speed_m_s for s in setpoints(flown)) > 0.0
+
+
+def test_it_does_not_engage_on_the_ground_or_disarmed() -> None:
+    for landed, armed in ((Landed.ON_GROUND, True), (Landed.IN_AIR, False)):
+        script = Script()
+        script.landed, script.armed = landed, armed
+        flown = engaged(script)
+        assert flown.state.phase is Phase.STANDBY
+        assert all(s.speed_m_s == 0.0 for s in setpoints(flown))
+
+
+def test_a_takeover_silences_it_within_the_same_event() -> None:
+    script = Script()
+    before = engaged(script)
+    taken = fly([ModeReport(script.t_ms * MS, FlightMode.POSCTL, OFFBOARD)], before=before)
+    assert taken.state.phase is Phase.RELEASED
+    script.actual, script.intended = FlightMode.POSCTL, OFFBOARD
+    after = fly(script.run(5.0), before=taken)
+    assert after.state.phase is Phase.RELEASED
+    assert not setpoints(after)
+
+
+def test_after_a_takeover_a_flick_of_the_switch_engages_anew() -> None:
+    script = Script()
+    before = engaged(script)
+    script.actual = script.intended = FlightMode.POSCTL
+    told = fly(script.run(0.1), before=before)
+    ready = fly(script.run(2.0), before=told)
+    assert ready.state.phase is Phase.STANDBY
+    assert all(s.speed_m_s == 0.0 for s in setpoints(ready))
+    script.actual = script.intended = OFFBOARD
+    assert fly(script.run(0.5), before=ready).state.phase.is_engaged
+
+
+def test_an_autopilot_that_does_not_tell_the_intended_mode_is_not_streamed_to_again() -> None:
+    script = Script()
+    script.tells_mode = False
+    before = engaged(script)
+    assert before.state.phase.is_engaged
+    script.actual = LOITER
+    after = fly(script.run(5.0), before=before)
+    assert after.state.phase is Phase.RELEASED
+    assert not setpoints(after)[-1:] or setpoints(after)[-1].t_ns < (script.t_ms - 3000) * MS
+
+
+def test_started_in_mid_air_in_offboard_it_stays_silent() -> None:
+    script = Script()
+    script.actual = script.intended = OFFBOARD
+    flown = fly(script.run(5.0))
+    assert flown.state.phase is Phase.INHIBITED
+    assert not setpoints(flown)
+
+
+def test_without_ranges_it_coasts_then_stands_then_hands_over() -> None:
+    settings = Settings(
+        loss=LossSettings(coast_after_s=0.5, stall_after_s=2.0, hand_over_after_s=5.0, hand_over_to="land")
+    )
+    script = Script()
+    before = engaged(script, settings)
+    script.range_m = None
+    t_lost_ms = script.t_ms
+    lost = fly(script.run(9.0), before=before)
+    phases = [c.after for c in lost.outputs if isinstance(c, PhaseChange)]
+    assert phases[-2:] == [Phase.HAND_OVER, Phase.RELEASED]
+    assert Phase.STALL in phases
+    gone_s = [((s.t_ns / MS - t_lost_ms) / 1000, s.speed_m_s) for s in setpoints(lost)]
+    assert all(speed == 0.0 for t, speed in gone_s if t > 2.1)
+    requests = lost.of(ModeRequest)
+    assert requests
+    assert all(isinstance(r, ModeRequest) and r.mode is FlightMode.AUTO_LAND for r in requests)
+    assert not [t for t, _ in gone_s if t > 5.0 + settings.loss.hand_over_patience_s + 0.1]
+
+
+def test_ranges_that_come_back_lead_through_acquisition() -> None:
+    script = Script()
+    before = engaged(script)
+    script.range_m = None
+    lost = fly(script.run(6.0), before=before)
+    assert lost.state.phase is Phase.STALL
+    script.range_m = 10.0
+    back = fly(script.run(0.5), before=lost)
+    changes = [c.after for c in back.outputs if isinstance(c, PhaseChange)]
+    assert changes[0] is Phase.ACQUIRE
+
+
+def test_without_a_heading_it_stands_still_and_without_a_vehicle_it_is_silent() -> None:
+    script = Script()
+    before = engaged(script)
+    script.tells_attitude = False
+    blind = fly(script.run(1.5), before=before)
+    assert blind.state.phase is Phase.STALL
+    assert setpoints(blind)[-1].speed_m_s == 0.0
+    script.tells_mode = script.tells_heartbeat = False
+    gone = fly(script.run(5.0), before=blind)
+    assert gone.state.phase is Phase.RELEASED
+    assert setpoints(gone)[-1].t_ns < (script.t_ms - 1500) * MS
+
+
+def test_ctrl_c_in_flight_stands_still_asks_for_the_mode_and_ends() -> None:
+    script = Script()
+    before = engaged(script)
+    asked = fly([StopRequest(script.t_ms * MS)], before=before)
+    assert asked.state.phase is Phase.HAND_OVER
+    handing = fly(script.run(0.5), before=asked)
+    assert all(s.speed_m_s == 0.0 for s in setpoints(handing))
+    (request,) = (*asked.of(ModeRequest), *handing.of(ModeRequest))
+    assert isinstance(request, ModeRequest)
+    assert request.mode is LOITER
+    script.actual = script.intended = LOITER
+    assert fly(script.run(0.2), before=handing).state.phase is Phase.ENDED
+
+
+def test_ctrl_c_with_release_configured_falls_silent_and_ends() -> None:
+    script = Script()
+    before = engaged(script, Settings(loss=LossSettings(hand_over_to="release")))
+    script.t_ms += 10
+    ended = fly([StopRequest(script.t_ms * MS), *script.run(0.1)], before=before)
+    assert ended.state.phase is Phase.ENDED
+    assert not ended.of(ModeRequest)
+
+
+def test_a_spent_budget_hands_over_and_says_which() -> None:
+    script = Script()
+    before = engaged(script, Settings(limits=LimitSettings(flight_time_s=3.0)))
+    after = fly(script.run(4.0), before=before)
+    change = next(c for c in after.outputs if isinstance(c, PhaseChange) and c.after is Phase.HAND_OVER)
+    assert "flight time over 3 s" in change.reason
+
+
+def test_waiting_for_nothing_ends() -> None:
+    ticks = [Tick(k * 100 * MS) for k in range(1, 80)]
+    flown = fly(ticks, Settings(loss=LossSettings(wait_s=5.0)))
+    assert flown.state.phase is Phase.ENDED
+    assert "HEARTBEAT" in last_status(flown).awaited[0]
+
+
+def test_ctrl_c_ends_it_also_while_nothing_is_there() -> None:
+    assert fly([Tick(MS), StopRequest(2 * MS)]).state.phase is Phase.ENDED
+
+
+def test_the_stream_keeps_between_its_rates() -> None:
+    script = Script()
+    settings = Settings(stream=StreamSettings(min_rate_hz=20.0, max_rate_hz=50.0))
+    before = engaged(script, settings)
+
+    def flood() -> list[Event]:
+        events: list[Event] = []
+        for event in script.run(4.0):
+            events.append(event)
+            if isinstance(event, Tick):
+                script.seq += 1
+                events.append(RangeSample(event.t_ns + 3 * MS, "b1", "s", script.seq, 10.0))
+        return events
+
+    flooded = fly(flood(), before=before)
+    assert 190 <= len(setpoints(flooded)) <= 202
+    script.range_m = None
+    quiet = setpoints(fly(script.run(2.0), before=flooded))
+    assert len(quiet) >= 38
+
+
+def test_a_fresh_range_steers_at_once() -> None:
+    script = Script()
+    before = engaged(script)
+    script.seq += 1
+    t_ns = script.t_ms * MS + 7 * MS
+    flown = fly([RangeSample(t_ns, "b1", "s", script.seq, 10.0)], before=before)
+    (sent,) = setpoints(flown)
+    assert sent.t_ns == t_ns
+
+
+def test_the_heartbeat_follows_the_phase() -> None:
+    script = Script()
+    waiting = fly([Tick(MS)])
+    (first,) = waiting.of(CompanionHeartbeat)
+    assert isinstance(first, CompanionHeartbeat)
+    assert first.system_status is SystemStatus.BOOT
+    before = engaged(script)
+    active = fly(script.run(2.0), before=before).of(CompanionHeartbeat)
+    assert len(active) == 2
+    assert all(isinstance(h, CompanionHeartbeat) and h.system_status is SystemStatus.ACTIVE for h in active)
+
+
+def test_without_a_position_estimate_the_app_holds_the_height_itself() -> None:
+    script = Script()
+    before = engaged(script, Settings(vehicle=VehicleSettings(setpoint_frame="body_ned")))
+    script.height_m = 2.5
+    sent = setpoints(fly(script.run(1.0), before=before))[-1]
+    assert sent.height_m is None
+    assert sent.climb_m_s == pytest.approx(0.8 * 0.5)
+
+
+def test_bad_ranges_are_counted_by_reason() -> None:
+    script = Script()
+    before = fly(script.run(2.0))
+    t_ns = script.t_ms * MS
+    bad: list[Event] = [
+        RangeSample(t_ns, "b1", "s", script.seq, 10.0),
+        RangeSample(t_ns, "b1", "s", 0, 10.0),
+        RangeSample(t_ns, "b1", "s", 10**6, math.nan),
+        RangeSample(t_ns, "zz", "s", 10**6, 10.0),
+        Malformed(t_ns, Defect.RANGE_PAYLOAD),
+    ]
+    state = fly(bad, before=before).state
+    assert state.rejected == {
+        Verdict.REPEATED: 1,
+        Verdict.OUT_OF_ORDER: 1,
+        Verdict.ABSURD: 1,
+        Verdict.UNKNOWN_BEACON: 1,
+    }
+    assert state.malformed == {"unreadable range": 1}
+
+
+def test_a_flight_ends_when_the_vehicle_disarms() -> None:
+    script = Script()
+    before = engaged(script)
+    script.armed = False
+    assert fly(script.run(1.5), before=before).state.phase is Phase.ENDED
+
+
+times = st.integers(0, 40 * MS)
+floats = st.floats(-1e6, 1e6) | st.sampled_from([0.0, 1.0, 10.0, -3.0, math.nan, math.inf])
+modes = st.sampled_from([OFFBOARD, LOITER, FlightMode.AUTO_LAND])
+any_event = st.one_of(
+    st.builds(Tick, times),
+    st.builds(Attitude, times, floats, floats),
+    st.builds(LocalMotion, times, floats, floats, st.none() | floats, floats, floats, floats),
+    st.builds(VehicleHeartbeat, times, st.just(1), modes, st.booleans()),
+    st.builds(ModeReport, times, modes, st.none() | modes),
+    st.builds(LandedReport, times, st.sampled_from(Landed)),
+    st.builds(
+        RangeSample,
+        times,
+        st.sampled_from(["b1", "b2"]),
+        st.sampled_from(["s", "t"]),
+        st.integers(0, 10**6),
+        floats,
+        st.none() | floats,
+        st.sampled_from(LineOfSight),
+        st.none(),
+        st.none() | st.integers(0, 2**62),
+    ),
+    st.builds(Malformed, times, st.sampled_from(Defect)),
+)
+
+
+@given(st.lists(any_event, max_size=60), st.booleans())
+def test_any_events_in_any_order_give_bounded_and_finite_output(events: list[Event], flying: bool) -> None:
+    script = Script()
+    before = engaged(script) if flying else fly([])
+    t_ns = script.t_ms * MS
+    shifted = []
+    for event in events:
+        t_ns += event.t_ns - 5 * MS  # time may also step back a little
+        shifted.append(msgspec.structs.replace(event, t_ns=t_ns))
+    flown = fly(shifted, before=before)
+    limits = flown.plan.settings.limits
+    for s in setpoints(flown):
+        assert 0.0 <= s.speed_m_s <= limits.speed_m_s
+        assert abs(s.yaw_rate_rad_s) <= limits.yaw_rate_rad_s
+        assert abs(s.climb_m_s) <= limits.climb_m_s
+        assert math.isfinite(s.heading_rad)
+        assert s.height_m is None or math.isfinite(s.height_m)
+    for status in flown.of(Status):
+        msgspec.json.encode(status)
+
+
+def test_the_same_events_give_the_same_outputs() -> None:
+    first, second = (engaged(Script()) for _ in range(2))
+    assert first.outputs == second.outputs
+    assert pilot.initial(first.plan) == pilot.initial(second.plan)
