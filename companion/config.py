@@ -187,6 +187,7 @@ def _explain(message: str, raw: dict[str, Any], sources: Mapping[str, str]) -> s
     kind: Any = inspect.type_info(Config)
     value: Any = raw
     for step in _STEP.findall(place["path"] or ""):
+        kind = _bare(kind)
         if isinstance(kind, inspect.StructType):
             kind = next(f.type for f in kind.fields if f.encode_name == step)
         elif isinstance(kind, inspect.DictType):
@@ -198,6 +199,7 @@ def _explain(message: str, raw: dict[str, Any], sources: Mapping[str, str]) -> s
             kind = kind.item_types[int(step)]
         keys.append(step)
         value = value[int(step)] if isinstance(value, list) else value[step]
+    kind = _bare(kind)
     unknown = _UNKNOWN.match(problem)
     if unknown:
         keys.append(unknown["field"])
@@ -213,9 +215,14 @@ def _explain(message: str, raw: dict[str, Any], sources: Mapping[str, str]) -> s
     return f"{key}{shown}: {problem}" + ("" if source is None else f" (from {source})")
 
 
+def _bare(kind: Any) -> Any:
+    """A type without its description."""
+    return kind.type if isinstance(kind, inspect.Metadata) else kind
+
+
 def _is_valid(entry: Any, kind: Any) -> bool:
     try:
-        msgspec.convert(entry, kind.cls)
+        msgspec.convert(entry, _bare(kind).cls)
     except msgspec.ValidationError:
         return False
     return True

@@ -176,7 +176,9 @@ class StreamSettings(Table, frozen=True):
         float,
         Meta(ge=5.0, le=200.0, description="And not more often than this, however many beacons there are."),
     ] = 50.0
-    status_rate_hz: Annotated[float, Meta(ge=0.5, le=50.0)] = 10.0
+    status_rate_hz: Annotated[
+        float, Meta(ge=0.5, le=50.0, description="Snapshots for the live view and the picture.")
+    ] = 10.0
 
 
 class LossSettings(Table, frozen=True):
@@ -234,9 +236,9 @@ class LossSettings(Table, frozen=True):
 class LimitSettings(Table, frozen=True):
     """`[limits]`: the last check before the wire. They hold even if every range lies."""
 
-    speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 1.0
-    yaw_rate_rad_s: Annotated[float, Meta(gt=0.0, le=6.3)] = 1.0
-    climb_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.5
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0, description="Forward speed at most.")] = 1.0
+    yaw_rate_rad_s: Annotated[float, Meta(gt=0.0, le=6.3, description="Yaw rate at most.")] = 1.0
+    climb_m_s: Annotated[float, Meta(gt=0.0, le=5.0, description="Climb and sink rate at most.")] = 0.5
     acceleration_m_s2: Annotated[
         float,
         Meta(
@@ -265,7 +267,7 @@ class LimitSettings(Table, frozen=True):
             description="Further than this from where it was engaged, by dead reckoning: hand over.",
         ),
     ] = 60.0
-    height_min_m: Finite = 0.5
+    height_min_m: Annotated[Finite, Meta(description="No height below this is asked for.")] = 0.5
     height_max_m: Annotated[Finite, Meta(description="The height that is asked for stays in this band.")] = (
         50.0
     )

@@ -27,7 +27,9 @@ class RangeMessage(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     session: Annotated[
         str, Meta(min_length=1, max_length=64, description="random text, new at every start of the beacon")
     ]
-    seq: Annotated[int, Meta(ge=0, description="counts the ranges of this session, increasing by one")]
+    seq: Annotated[
+        int, Meta(ge=0, lt=2**53, description="counts the ranges of this session, increasing by one")
+    ]
     range_m: Annotated[
         float, Meta(gt=0.0, le=10_000.0, description="slant distance between the antennas, metres")
     ]

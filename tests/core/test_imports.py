@@ -66,8 +66,8 @@ def test_the_core_has_one_direction(path: Path) -> None:
 
 
 FORBIDDEN_IN_CORE = {
-    "time", "datetime", "socket", "select", "random", "os", "pathlib", "threading", "asyncio", "io", "logging",
-    "numpy", "scipy", "control", "zenoh", "pymavlink", "mavsdk", "serial", "rich", "matplotlib",
+    "time", "datetime", "socket", "select", "random", "os", "pathlib", "threading", "asyncio", "io",
+    "logging", "numpy", "scipy", "control", "zenoh", "pymavlink", "mavsdk", "serial", "rich", "matplotlib",
 }  # fmt: skip
 
 

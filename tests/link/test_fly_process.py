@@ -1,0 +1,104 @@
+"""`companion fly` as a process: what it waits for, how it ends, and with which status."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from companion.exits import Exit
+
+ROOT = Path(__file__).parents[2]
+BOUND_S = 30.0
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "companion", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env={key: value for key, value in os.environ.items() if not key.startswith("COMPANION_")},
+    )
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    process = start(*arguments)
+    out, err = process.communicate(timeout=BOUND_S)
+    return process.returncode, out, err
+
+
+def fly(*more: str) -> tuple[str, ...]:
+    return ("fly", "--config", "config/capture.toml", "--mavlink", f"udpin:127.0.0.1:{free_port()}", *more)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (fly("--set", "guidance.speed_m_s=9"), "guidance.speed_m_s = 9"),
+        (fly("--set", "guidance.spede_m_s=0.4"), "did you mean speed_m_s"),
+        (("fly", "--config", "nowhere.toml"), "nowhere.toml"),
+        (("fly", "--mavlink", "carrier-pigeon"), "carrier-pigeon"),
+        (("sim", "--runs", "0"), "must be at least 1"),
+        (("nonsense",), "nonsense"),
+    ],
+)
+def test_wrong_input_is_refused_in_words(arguments: tuple[str, ...], words: str) -> None:
+    status, _, err = run(*arguments)
+    assert status == Exit.USAGE
+    assert words in err
+    assert "Traceback" not in err
+
+
+def test_without_a_vehicle_it_says_so_and_gives_up() -> None:
+    status, out, err = run(*fly("--set", "loss.wait_s=1.5"))
+    assert status == Exit.NO_VEHICLE
+    assert "HEARTBEAT" in out
+    assert "Traceback" not in err
+
+
+def test_an_endpoint_that_cannot_be_listened_on_is_told() -> None:
+    status, _, err = run(*fly("--zenoh-listen", "tcp/203.0.113.1:7447"))
+    assert status == Exit.LINK
+    assert "203.0.113.1" in err
+    assert "Traceback" not in err
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        status, _, err = run("fly", "--mavlink", f"udpin:127.0.0.1:{taken.getsockname()[1]}")
+    assert status == Exit.LINK
+    assert "in use" in err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_in_an_orderly_way(number: signal.Signals) -> None:
+    process = start(*fly())
+    assert process.stdout is not None
+    assert process.stdout.readline()  # it is up once it says what it waits for
+    process.send_signal(number)
+    out, err = process.communicate(timeout=BOUND_S)
+    assert process.returncode == Exit.INTERRUPTED
+    assert "target NOT captured" in out
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("fly", "--help"), ("sim", "--help"), ("--version",)])
+def test_help_and_version(arguments: tuple[str, ...]) -> None:
+    status, out, _ = run(*arguments)
+    assert status == Exit.OK
+    assert "companion" in out
