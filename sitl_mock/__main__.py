@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import signal
 import socket
 import sys
@@ -15,7 +16,7 @@ import msgspec
 
 from sitl_mock.faults import Fault, FaultAt, parse_fault
 from sitl_mock.params import Params
-from sitl_mock.scenario import BeaconAt, Scenario, TelemetryKind
+from sitl_mock.scenario import KEY_PART, BeaconAt, Scenario, TelemetryKind
 
 _DESCRIPTION = """\
 A stand-in for a PX4 quadrotor and its UWB beacons: MAVLink 2 over UDP on an onboard and a ground station's
@@ -134,6 +135,9 @@ def main(argv: list[str] | None = None) -> int:
     listen = args.zenoh_listen or ([] if args.zenoh_connect else ["tcp/127.0.0.1:7447"])
     try:
         scenario = load_scenario(args.scenario) if args.scenario is not None else Scenario()
+        for name, part in (("--site", args.site), ("--tag", args.tag)):
+            if not re.match(KEY_PART, part):
+                raise ValueError(f"{name} {part!r}: must be one part of a key, without / * $ ? # or spaces")
         faults: tuple[FaultAt, ...] = tuple(parse_fault(text) for text in args.fault)
         params = _params(args.param)
         from sitl_mock.wire import Endpoints, Wire  # zenoh and pymavlink only once the input is good

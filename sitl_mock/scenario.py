@@ -10,13 +10,15 @@ from msgspec import Meta
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
+KEY_PART = r"^[^/*$?#\s]+$"
+"""What can be one part of a Zenoh key."""
 TelemetryKind = Literal["perfect", "quiet", "stock", "none"]
 
 
 class BeaconAt(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A beacon: its id and position, metres East, North, up of the local origin, and its constant bias."""
 
-    id: str = "b1"
+    id: Annotated[str, Meta(pattern=KEY_PART)] = "b1"
     x_m: float = 3.5
     y_m: float = 5.0
     height_m: float = 0.0
@@ -70,3 +72,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The module tells the path of its signal: `nlos` with an outlier, `los` otherwise; else `unknown`."""
     limit_s: Positive = 300.0
     """A simulated flight ends here at the latest."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError where two beacons have one id."""
+        if len({beacon.id for beacon in self.beacons}) < len(self.beacons):
+            raise ValueError("two beacons have the same id; ids must differ")
