@@ -270,9 +270,11 @@ class _Script:
             if mode in MANUAL_MODES:
                 self._tell(f"mode {mode.value}: a pilot took over, or a failsafe; left to them")
                 return OperatorResult.PILOT
-            if mode is not FlightMode.OFFBOARD or not self._vehicle.is_armed:
-                armed = "" if self._vehicle.is_armed else ", disarmed"
-                self._tell(f"the vehicle left OFFBOARD by itself: mode {mode.value}{armed}")
+            if not self._vehicle.is_armed:
+                self._tell("the vehicle disarmed by itself")
+                return OperatorResult.LEFT_OFFBOARD
+            if mode is not FlightMode.OFFBOARD:
+                self._tell(f"the vehicle left OFFBOARD by itself: mode {mode.value}")
                 return OperatorResult.LEFT_OFFBOARD
             motion = self._vehicle.motion()
             if motion is not None and rest.add(now, motion):
@@ -297,7 +299,7 @@ class _Script:
         asked_at = -math.inf
         for now in self._until(limit, aloud=True):
             if not self._vehicle.is_armed:
-                self._tell("landed and disarmed")
+                self._tell("landed and disarmed" if self._vehicle.is_on_ground else "disarmed")
                 return True
             comes_down = self._vehicle.mode in (FlightMode.AUTO_LAND, FlightMode.AUTO_RTL)
             if not comes_down and now - asked_at > MODE_PATIENCE_S:
