@@ -99,8 +99,8 @@ def test_it_waits_for_a_companion_and_lands_when_at_rest(flights: dict[str, Futu
     ended = flights["finished"].result()
     assert ended.status == OperatorResult.FINISHED.exit_status == 0, ended.lines
     steps = (
-        "healthy", "armed", "taking off to 1.5 m", "steady at 1.", "OFFBOARD refused", "mode OFFBOARD", "at rest",
-        "landing", "landed and disarmed",
+        "healthy", "armed", "taking off to 1.5 m", "steady at 1.", "OFFBOARD refused", "mode OFFBOARD",
+        "at rest", "landing", "landed and disarmed",
     )  # fmt: skip
     found = [next(i for i, line in enumerate(ended.lines) if step in line) for step in steps]
     assert found == sorted(found)
