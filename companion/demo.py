@@ -22,7 +22,7 @@ from typing import IO, NamedTuple
 
 import msgspec
 
-from companion.config import Config, load
+from companion.config import Config, ConfigError, load
 from companion.exits import Exit
 from companion.picture import PictureError, Truth, draw_flight, headline
 from companion.summary import FlightReport, Pose, Problem, shortest_from_m, text
@@ -84,6 +84,7 @@ def demo(
     Raises `companion.config.ConfigError` where the configuration cannot be used.
     """
     config = load(config_file, os.environ).config
+    target = _true_target(config)
     out = out or Path("flights") / time.strftime("demo-%Y%m%d-%H%M%S")
     out.mkdir(parents=True, exist_ok=True)
     limit_s = LIMIT_S + (config.sim.limit_s if config_file is not None else 0.0)
@@ -104,7 +105,7 @@ def demo(
         stream.write(f"{line}\n")
     if interrupted:
         return Exit.INTERRUPTED
-    return _tell(config, out, stream)
+    return _tell(target, out, stream)
 
 
 class _StartError(Exception):
@@ -293,7 +294,16 @@ def in_offboard(rows: Sequence[TruthRow]) -> list[TruthRow]:
     return list(itertools.takewhile(lambda row: row.mode is FlightMode.OFFBOARD, before))
 
 
-def _tell(config: Config, out: Path, stream: IO[str]) -> Exit:
+def _true_target(config: Config) -> tuple[float, float]:
+    """Where the mock puts the beacon that is flown to."""
+    for beacon in config.sim.beacons:
+        if beacon.id == config.mission.target:
+            return beacon.x_m, beacon.y_m
+    known = ", ".join(beacon.id for beacon in config.sim.beacons)
+    raise ConfigError(f"mission.target = {config.mission.target!r}: no such beacon; [sim] has {known}")
+
+
+def _tell(target: tuple[float, float], out: Path, stream: IO[str]) -> Exit:
     """The summary, the picture and the exit status."""
     try:
         flight = msgspec.json.decode((out / "flight.json").read_bytes(), type=FlightReport)
@@ -302,8 +312,6 @@ def _tell(config: Config, out: Path, stream: IO[str]) -> Exit:
         stream.write(f"demo: no flight to tell of: {error.filename} was not written\n")
         return Exit.NOT_CAPTURED
     rows = [msgspec.json.decode(line, type=TruthRow) for line in truth_lines if line.endswith(b"}")]
-    beacon = next(b for b in config.sim.beacons if b.id == config.mission.target)
-    target = (beacon.x_m, beacon.y_m)
     verdict = judge(rows, target, flight.problem)
     stream.write(f"\nby what the companion knew: {text(flight.summary)}\n")
     if verdict is None:
