@@ -1,0 +1,213 @@
+"""A recorded flight read back from its file, as far as the file is sound."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+
+from companion.record import FORMAT, METADATA, RECORDED, Start
+from companion.settings import Settings
+from companion.types import Event, Output
+
+_ENVELOPE = struct.Struct("<BQ")
+_CHUNK_LIMIT = 1 << 28
+"""A chunk that claims to be larger is damaged: ours are a thousand times smaller."""
+_DAMAGED = (McapError, ValueError, struct.error, zstandard.ZstdError, MemoryError, OverflowError)
+"""What reading damaged bytes as MCAP raises."""
+
+
+class RecordError(Exception):
+    """Nothing can be made of the file; the text is one line that says why."""
+
+
+class Step(NamedTuple):
+    """One event and the outputs that followed from it.
+
+    `number` counts events and outputs together; `slots[i]` is the place of `outputs[i]` after the event, with
+    gaps where outputs were lost. `lost`: how many records are missing between this event and the next.
+    """
+
+    number: int
+    event: Event
+    outputs: tuple[Output, ...]
+    slots: tuple[int, ...]
+    lost: int
+
+
+class Recording(NamedTuple):
+    """A flight as it was recorded. `problems`: what is wrong with the file, one line each."""
+
+    name: str
+    start: Start
+    steps: tuple[Step, ...]
+    finished: bool
+    lost: int
+    lost_at_first: int
+    problems: tuple[str, ...]
+
+    @property
+    def settings(self) -> Settings:
+        """The settings that were flown. Raises RecordError where this version does not know them."""
+        try:
+            raw = msgspec.json.decode(self.start.config, type=dict[str, object])
+            raw.pop("sim", None)  # the simulated world is none of the pilot's business
+            return msgspec.convert(raw, Settings)
+        except msgspec.DecodeError as error:
+            raise RecordError(
+                f"{self.name}: its configuration cannot be used here: {error} "
+                f"(recorded by companion {self.start.versions.get('companion', '?')})"
+            ) from error
+
+    @property
+    def duration_s(self) -> float:
+        """From the first event to the last."""
+        return self.t_s(self.steps[-1].event.t_ns) if self.steps else 0.0
+
+    def t_s(self, t_ns: int) -> float:
+        """Seconds since the first event."""
+        return (t_ns - self.steps[0].event.t_ns) * 1e-9
+
+
+def read(path: Path) -> Recording:
+    """Read a flight. Raises RecordError in one line where it is none; damage is told in `problems`."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{path}: {error.strerror or error}") from error
+    if not data:
+        raise RecordError(f"{path}: the file is empty")
+    if not data.startswith(MCAP0_MAGIC):
+        raise RecordError(f"{path}: not an MCAP file")
+    reader = _Reader()
+    for at, opcode, content in reader.envelopes(data):
+        reader.take(at, opcode, content)
+    if reader.start is None:
+        topics = ", ".join(sorted(reader.topics)[:4]) or "none that can be read"
+        problem = f" ({reader.problems[0]})" if reader.problems else ""
+        raise RecordError(f"{path}: an MCAP file, but not a flight of this app; topics: {topics}{problem}")
+    return reader.recording(str(path), reader.start)
+
+
+class _Reader:
+    """Collects what is sound."""
+
+    def __init__(self) -> None:
+        self.start: Start | None = None
+        self.topics: set[str] = set()
+        self.problems: list[str] = []
+        self._finished = False
+        self._decoders: dict[int, tuple[str, msgspec.json.Decoder[Event | Output]]] = {}
+        self._unreadable: Counter[str] = Counter()
+        self._items: list[tuple[int, Event | Output]] = []
+
+    def envelopes(self, data: bytes) -> Iterator[tuple[int, int, bytes]]:
+        """Offset, opcode and content of every whole record."""
+        at = len(MCAP0_MAGIC)
+        while at < len(data) and not self._finished:
+            end = at + _ENVELOPE.size
+            opcode, length = _ENVELOPE.unpack_from(data, at) if end <= len(data) else (0, 0)
+            if end + length > len(data):
+                break
+            yield at, opcode, data[end : end + length]
+            at = end + length
+            self._finished = opcode == Opcode.FOOTER
+        if not self._finished:
+            self.problems.append(f"the end is missing: it stops at byte {at} of {len(data)}")
+
+    def take(self, at: int, opcode: int, content: bytes) -> None:
+        """Use one record of the file."""
+        stream = ReadDataStream(BytesIO(content))
+        try:
+            if opcode == Opcode.METADATA:
+                self._metadata(Metadata.read(stream))
+            elif opcode == Opcode.CHUNK:
+                self._chunk(Chunk.read(stream))
+            elif (
+                opcode == Opcode.CHANNEL and not self._decoders
+            ):  # the summary's, if the first chunk is damaged
+                self._channel(Channel.read(stream))
+        except KeyError as error:
+            self.problems.append(f"damaged at byte {at}: {error} is missing")
+        except _DAMAGED as error:
+            self.problems.append(f"damaged at byte {at}: {error or type(error).__name__}")
+
+    def _metadata(self, m: Metadata) -> None:
+        if m.name != METADATA:
+            return
+        written = int(m.metadata["format"])
+        if written > FORMAT:
+            raise RecordError(f"a flight in format {written}; this version reads {FORMAT}")
+        self.start = Start.from_metadata(m.metadata)
+
+    def _chunk(self, chunk: Chunk) -> None:
+        if chunk.uncompressed_size > _CHUNK_LIMIT:
+            raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
+        for record in breakup_chunk(chunk, validate_crc=True):
+            if isinstance(record, Channel):
+                self._channel(record)
+            elif isinstance(record, Message):
+                self._message(record)
+
+    def _channel(self, channel: Channel) -> None:
+        self.topics.add(channel.topic)
+        kind = RECORDED.get(channel.topic)
+        if kind is not None:
+            self._decoders[channel.id] = channel.topic, msgspec.json.Decoder(kind)
+
+    def _message(self, message: Message) -> None:
+        topic, decoder = self._decoders.get(message.channel_id, ("", None))
+        if decoder is None:
+            return  # derived for viewers
+        try:
+            self._items.append((message.sequence, decoder.decode(message.data)))
+        except msgspec.DecodeError as error:
+            self._unreadable[f"{topic}: {error}"] += 1
+
+    def recording(self, name: str, start: Start) -> Recording:
+        """What was read, with each output at its event."""
+        items = self._items
+        problems = [*self.problems, *(f"{n} × unreadable {what}" for what, n in self._unreadable.items())]
+        events = [i for i, (_, item) in enumerate(items) if isinstance(item, Event)]
+        steps = [_step(items[a:b], items[b][0]) for a, b in pairwise(events)]
+        if events:
+            steps.append(_step(items[events[-1] :], None))
+        lost = items[-1][0] + 1 - len(items) if items else 0
+        if lost:
+            problems.append(f"{lost} records are missing")
+        return Recording(
+            name=name,
+            start=start,
+            steps=tuple(steps),
+            finished=self._finished,
+            lost=lost,
+            lost_at_first=steps[0].number if steps else 0,
+            problems=tuple(problems),
+        )
+
+
+def _step(items: list[tuple[int, Event | Output]], next_number: int | None) -> Step:
+    """An event with its outputs; `next_number` is the next event's."""
+    (number, event), *rest = items
+    assert isinstance(event, Event)
+    outputs = [(n - number - 1, output) for n, output in rest if isinstance(output, Output)]
+    return Step(
+        number=number,
+        event=event,
+        outputs=tuple(output for _, output in outputs),
+        slots=tuple(slot for slot, _ in outputs),
+        lost=0 if next_number is None else next_number - number - len(items),
+    )
