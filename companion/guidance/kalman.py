@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from companion.guidance.model import Lifted, Step, flow
+from companion.guidance.model import Lifted, Step, flow, lifted_range
 
 TINY = 1e-12
 """Variances are kept above this against rounding."""
@@ -47,7 +47,7 @@ def measured(
     var = sigma_m * sigma_m
     slant = dh_m * sigma_dh_m
     return Measured(
-        0.5 * (range_m * range_m - dh_m * dh_m - var),
+        lifted_range(range_m, dh_m) - 0.5 * var,
         expected_range_m * expected_range_m * var + slant * slant + 0.5 * var * var,
     )
 
@@ -73,23 +73,27 @@ def predict(g: Gaussian, m: Step, dt_s: float, q_position: float, q_turn: float)
     noise, not of a measurement.
     """
     x = flow(g.x, m)
-    f, w, c, s = -m.forward_m, m.left_m, m.cos_turn, m.sin_turn
-    # P F1ᵀ for the chord, F1 = [[1, w, f], [0, 1, 0], [0, 0, 1]], then the turn on rows and columns 2 and 3
-    p12 = g.p12 + w * g.p22 + f * g.p23
-    p13 = g.p13 + w * g.p23 + f * g.p33
-    p11 = g.p11 + w * (g.p12 + p12) + f * (g.p13 + p13)
+    _, p11, p12, p13, p22, p23, p33 = g
+    forward, w, c, s = m
+    f = -forward
+    # P ← F1 P F1ᵀ for the chord, F1 = [[1, w, f], [0, 1, 0], [0, 0, 1]]
+    q12 = p12 + w * p22 + f * p23
+    q13 = p13 + w * p23 + f * p33
+    p11 += w * (p12 + q12) + f * (p13 + q13)
+    # then the turn on rows and columns 2 and 3, and the noise
     cc, ss, cs = c * c, s * s, c * s
-    cross = 2.0 * cs * g.p23
+    cross = 2.0 * cs * p23
     shake = q_turn * dt_s
     noise = q_position * dt_s
+    _, right, ahead = x
     return Gaussian(
         x,
         p11,
-        c * p12 + s * p13,
-        c * p13 - s * p12,
-        cc * g.p22 + cross + ss * g.p33 + noise + shake * x.x3 * x.x3,
-        cs * (g.p33 - g.p22) + (cc - ss) * g.p23 - shake * x.x2 * x.x3,
-        ss * g.p22 - cross + cc * g.p33 + noise + shake * x.x2 * x.x2,
+        c * q12 + s * q13,
+        c * q13 - s * q12,
+        cc * p22 + cross + ss * p33 + noise + shake * ahead * ahead,
+        cs * (p33 - p22) + (cc - ss) * p23 - shake * right * ahead,
+        ss * p22 - cross + cc * p33 + noise + shake * right * right,
     )
 
 
@@ -104,17 +108,19 @@ def update(g: Gaussian, m: Measured) -> Gaussian:
 
     With C = [1, 0, 0] the gain is the first column of P divided by S = p11 + variance.
     """
-    s_inv = 1.0 / (g.p11 + m.variance)
-    innovation = (m.y - g.x.x1) * s_inv
-    rest = m.variance * s_inv
+    x, p11, p12, p13, p22, p23, p33 = g
+    y, variance = m
+    s_inv = 1.0 / (p11 + variance)
+    innovation = (y - x.x1) * s_inv
+    rest = variance * s_inv
     return Gaussian(
-        Lifted(g.x.x1 + g.p11 * innovation, g.x.x2 + g.p12 * innovation, g.x.x3 + g.p13 * innovation),
-        max(g.p11 * rest, TINY),
-        g.p12 * rest,
-        g.p13 * rest,
-        max(g.p22 - g.p12 * g.p12 * s_inv, TINY),
-        g.p23 - g.p12 * g.p13 * s_inv,
-        max(g.p33 - g.p13 * g.p13 * s_inv, TINY),
+        Lifted(x.x1 + p11 * innovation, x.x2 + p12 * innovation, x.x3 + p13 * innovation),
+        max(p11 * rest, TINY),
+        p12 * rest,
+        p13 * rest,
+        max(p22 - p12 * p12 * s_inv, TINY),
+        p23 - p12 * p13 * s_inv,
+        max(p33 - p13 * p13 * s_inv, TINY),
     )
 
 

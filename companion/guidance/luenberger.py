@@ -1,9 +1,9 @@
 """The paper's observer, Eq. (23) to (26): three poles at −λ, gains that divide by the yaw rate.
 
-Kept as published. The characteristic polynomial is right at every instant, but the error system is
-time-varying and frozen eigenvalues do not make it stable: under the yaw rates that the paper's own law
-produces it is marginal or unstable for small λ. Started from a true bearing with a small λ it is dead
-reckoning, and works; started from a wrong one it takes long or never recovers.
+Kept as published. The characteristic polynomial is right at every instant, but the error system Eq. (34) is
+time-varying, and frozen eigenvalues do not make it stable, as the proof of Theorem 1 has it: under the yaw
+rates that the paper's own law produces it is marginal or unstable for small λ. Started from a true bearing
+with a small λ it is dead reckoning, and works; started from a wrong one it takes long or never recovers.
 """
 
 from __future__ import annotations

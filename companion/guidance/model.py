@@ -132,12 +132,14 @@ def flow(x: Lifted, m: Step) -> Lifted:
     The vehicle moves along its chord, then turns. A velocity w to the left, which the paper has not, adds
     w x2 to ẋ1 and w to ẋ2.
     """
-    right = x.x2 + m.left_m
-    ahead = x.x3 - m.forward_m
+    x1, x2, x3 = x
+    forward, left, c, s = m
+    right = x2 + left
+    ahead = x3 - forward
     return Lifted(
-        x.x1 - m.forward_m * x.x3 + m.left_m * x.x2 + 0.5 * (m.forward_m**2 + m.left_m**2),
-        m.cos_turn * right + m.sin_turn * ahead,
-        -m.sin_turn * right + m.cos_turn * ahead,
+        x1 - forward * x3 + left * x2 + 0.5 * (forward * forward + left * left),
+        c * right + s * ahead,
+        c * ahead - s * right,
     )
 
 
