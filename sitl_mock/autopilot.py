@@ -17,6 +17,9 @@ from sitl_mock.vehicle import STEP_S, Vehicle, wrap
 
 _YAW_P_1_S = 1.5
 _YAW_RATE_MAX_RAD_S = 0.785
+"""To a heading that is held."""
+_YAW_RATE_LIMIT_RAD_S = 3.49
+"""Of any yaw rate (MC_YAWRATE_MAX)."""
 _STANDSTILL_M_S = 0.1
 _CRAWL_HEIGHT_M = 0.68
 """Below this the landing crawls, recorded."""
@@ -28,6 +31,9 @@ _HOLD_HEIGHT_P_1_S = 0.7
 _RETURN_REACHED_M = 0.5
 # Shares of MPC_TKO_RAMP_T: after the first the vehicle rises, within the second it gets to speed; recorded.
 _RAMP_START, _RAMP_RISE = 0.6, 0.75
+
+_LIFTING = frozenset({Mode.TAKEOFF, Mode.OFFBOARD})
+"""The modes that leave the ground."""
 
 
 class Target(NamedTuple):
@@ -128,7 +134,7 @@ class Autopilot:
         vehicle, errors = self._vehicle, self._errors
         vx, vy, climb, yaw_rate = self._wanted(mode)
         self.climbing = climb > 0.05
-        if landed and not (spooled and self.climbing):
+        if landed and not (spooled and self.climbing and mode in _LIFTING):
             vehicle.command(0.0, 0.0, -1.0, 0.0)
             self._ramp_s = 0.0
             return False
@@ -189,9 +195,10 @@ class Autopilot:
         if target.height_m is not None:
             climb += params["MPC_Z_P"] * (target.height_m - self.height_m)
         climb = _limit(climb, -params["MPC_Z_VEL_MAX_DN"], params["MPC_Z_VEL_MAX_UP"])
+        yaw_rate = target.yaw_rate_rad_s or 0.0
         if target.heading_rad is not None:
-            return vx, vy, climb, self._yaw_to(target.heading_rad) + (target.yaw_rate_rad_s or 0.0)
-        return vx, vy, climb, target.yaw_rate_rad_s or 0.0
+            yaw_rate += self._yaw_to(target.heading_rad)
+        return vx, vy, climb, _limit(yaw_rate, -_YAW_RATE_LIMIT_RAD_S, _YAW_RATE_LIMIT_RAD_S)
 
     def _hold_position(self) -> tuple[float, float]:
         """Brake, then keep the place where the vehicle came to a stand."""

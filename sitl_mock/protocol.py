@@ -65,10 +65,11 @@ class _Stream:
 
 
 class Protocol:
-    """The autopilot's end of both links. Without `motion` it tells nothing of its position and motion."""
+    """The autopilot's end of both links."""
 
-    def __init__(self, px4: Px4, motion: bool = True) -> None:
+    def __init__(self, px4: Px4) -> None:
         self.px4 = px4
+        motion = px4.scenario.telemetry != "none"
         self._builders = {i: b for i, b in BUILDERS.items() if motion or i not in MOTION}
         px4.on_reboot = self._reset
         self._out: list[Outgoing] = []

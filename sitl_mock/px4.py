@@ -66,7 +66,7 @@ class Px4:
         self.autopilot = Autopilot(vehicle, self.errors, params)
         self.notices: list[Notice] = []
         self.on_reboot: Callable[[], None] = lambda: None
-        self._remote_control = scenario.remote_control
+        self.scenario = scenario
         self._steps = 0
         self._boot_step = 0
         self._seen_faults: set[Fault] = set()
@@ -94,6 +94,7 @@ class Px4:
         self.armed = self.vehicle.motors_on = self._flown = True
         self.landed = False
         self.autopilot.set_home()
+        self.autopilot.home_height_m -= self.vehicle.height_m  # it took off from the ground below
         self.autopilot.enter(Mode.LOITER)
 
     # ------------------------------------------------------------------------------------------- state
@@ -147,7 +148,9 @@ class Px4:
     def remote_control(self) -> bool:
         """A radio control is there."""
         return (
-            self._remote_control or self.faults.active(Fault.RC_SWITCH) or self.faults.active(Fault.RC_STICKS)
+            self.scenario.remote_control
+            or self.faults.active(Fault.RC_SWITCH)
+            or self.faults.active(Fault.RC_STICKS)
         )
 
     @property

@@ -54,6 +54,17 @@ class Endpoints:
     tag: str = "drone"
 
 
+def _parse(datagram: bytes) -> list[Message]:
+    """The messages in a datagram. Each begins afresh: garbage in one does not swallow the next."""
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    try:
+        messages = parser.parse_buffer(datagram) or []
+    except (mavlink.MAVError, struct.error, ValueError):
+        return []
+    return [m for m in messages if m.get_type() != "BAD_DATA" and not m.get_type().startswith("UNKNOWN")]
+
+
 class Udp:
     """One MAVLink channel over UDP with exactly one peer.
 
@@ -81,8 +92,6 @@ class Udp:
         self.url = f"{kind}:{address[0]}:{address[1]}"
         """Where it really is: the port is the system's choice if 0 was asked for."""
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
-        self._parser = mavlink.MAVLink(None)
-        self._parser.robust_parsing = True
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
@@ -109,13 +118,7 @@ class Udp:
                 return messages
             if self._peer is not None and sender != self._peer:
                 continue
-            try:
-                parsed = self._parser.parse_buffer(data) or []
-            except (mavlink.MAVError, struct.error, ValueError):
-                continue
-            good = [
-                m for m in parsed if m.get_type() != "BAD_DATA" and not m.get_type().startswith("UNKNOWN")
-            ]
+            good = _parse(data)
             if good and self._peer is None:
                 self._peer = sender
             messages += good
@@ -190,7 +193,7 @@ class Wire:
         self.faults = Faults(faults)
         self.vehicle = Vehicle(scenario, x, y, 0.0, heading)
         self.px4 = Px4(scenario, seed, self.vehicle, params, self.faults)
-        self._protocol = Protocol(self.px4, motion=scenario.telemetry != "none")
+        self._protocol = Protocol(self.px4)
         urls = {Link.ONBOARD: endpoints.onboard, Link.GCS: endpoints.gcs}
         self.links = {
             link: Udp(url, self._protocol.system_id) for link, url in urls.items() if url is not None

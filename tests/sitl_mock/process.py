@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import subprocess
@@ -47,14 +48,16 @@ def running_mock(*arguments: str, endpoints: int = 3) -> Iterator[RunningMock]:
 def _listening(process: subprocess.Popen[str], count: int) -> dict[str, str]:
     assert process.stdout is not None
     assert process.stderr is not None
-    found: dict[str, str] = {}
+    descriptor = process.stdout.fileno()
     deadline = time.monotonic() + START_LIMIT_S
-    while len(found) < count:
-        ready, _, _ = select.select([process.stdout], [], [], max(deadline - time.monotonic(), 0.0))
-        line = process.stdout.readline() if ready else ""
-        if not line:
+    said = ""
+    while said.count("\n") < count:
+        ready, _, _ = select.select([descriptor], [], [], max(deadline - time.monotonic(), 0.0))
+        # Not readline(): what it buffers beyond a line is invisible to select().
+        data = os.read(descriptor, 4096).decode() if ready else ""
+        if not data:
             process.kill()
-            raise AssertionError(f"the mock does not listen: {found} {process.stderr.read()}")
-        kind, _, address = line.removeprefix("listening: ").strip().rpartition(" ")
-        found[kind] = address
-    return found
+            raise AssertionError(f"the mock does not listen: {said!r} {process.stderr.read()}")
+        said += data
+    lines = [line.removeprefix("listening: ").rpartition(" ") for line in said.splitlines()]
+    return {kind: address for kind, _, address in lines}
