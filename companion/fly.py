@@ -60,11 +60,11 @@ def fly(settings: Settings, view: View, json_file: Path | None, png_file: Path |
 
 def exit_status(final: pilot.State, log: FlightLog) -> Exit:
     """What the ending means to a script."""
-    if final.captured:
+    if final.flight.captured:
         return Exit.OK
-    if final.was_engaged:
-        return Exit.INTERRUPTED if final.stop_asked else Exit.NOT_CAPTURED
-    if final.stop_asked:
+    if final.flight.was_engaged:
+        return Exit.INTERRUPTED if final.flight.stop_asked else Exit.NOT_CAPTURED
+    if final.flight.stop_asked:
         return Exit.INTERRUPTED
     awaited = log.last.awaited if log.last is not None else ()
     return Exit.NO_RANGES if awaited and awaited[0].startswith("ranges") else Exit.NO_VEHICLE

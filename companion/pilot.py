@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from companion import gate, limits, phase
 from companion import vehicle as veh
 from companion.guidance import schemes
-from companion.guidance.scheme import PROBE, Command, Scheme
+from companion.guidance.scheme import PROBE, UNKNOWN_M, Command, Scheme
 from companion.limits import LimitState
 from companion.phase import Condition, Facts, Ranges
 from companion.settings import BeaconSettings, Settings
@@ -43,7 +43,7 @@ from companion.types import (
 from companion.vehicle import BodyMotion, Vehicle
 
 _HEARTBEAT_NS = 1_000_000_000
-_REQUEST_AGAIN_NS = 1_000_000_000
+_REQUEST_AGAIN_S = 1.0
 _LONGEST_PREDICTION_S = 1.0
 """After a longer pause of the event stream the prediction is worth nothing anyway."""
 _STANDSTILL = Command(0.0, 0.0, PROBE)
@@ -58,39 +58,62 @@ class Plan(NamedTuple):
     """Beacon id → its number in the scheme and what is known of it."""
 
 
-class State(NamedTuple):
-    """All that the pilot remembers."""
+class Ranging(NamedTuple):
+    """What has become of the ranges."""
 
-    phase: Phase = Phase.AWAIT
-    reason: str = "started"
-    t_first_ns: int | None = None
-    t_phase_ns: int = 0
-    vehicle: Vehicle = Vehicle()
-    tracks: dict[str, gate.Track] = {}  # noqa: RUF012 - never changed in place
+    tracks: dict[str, gate.Track] = {}  # noqa: RUF012 - never changed in place, as the two below
     rejected: dict[gate.Verdict, int] = {}  # noqa: RUF012
     malformed: dict[str, int] = {}  # noqa: RUF012
     accepted: int = 0
-    t_range_ns: int | None = None
+    t_ns: int | None = None
+    """When a range was believed last."""
     range_m: float | None = None
-    guidance: Any = None
-    t_guidance_ns: int = 0
+
+
+class Observing(NamedTuple):
+    """The scheme's own state, the time that it stands at, and the motion that brought it there."""
+
+    guidance: Any
+    t_ns: int = 0
     motion: BodyMotion = BodyMotion()
+    path_m: float = 0.0
+
+
+class Steering(NamedTuple):
+    """The last command, and what left of it."""
+
     command: Command = _STANDSTILL
     t_command_ns: int = 0
     hold_height_m: float | None = None
     limits: LimitState = LimitState()
     setpoint: Setpoint | None = None
     t_allowed_ns: int = 0
-    t_heartbeat_ns: int | None = None
-    t_status_ns: int | None = None
-    t_request_ns: int | None = None
+
+
+class Flight(NamedTuple):
+    """What has happened so far."""
+
     stop_asked: bool = False
     was_ready: bool = False
     was_engaged: bool = False
     captured: bool = False
     t_engaged_ns: int = 0
-    engaged_s: float = 0.0
-    path_m: float = 0.0
+    t_heartbeat_ns: int | None = None
+    t_status_ns: int | None = None
+    t_request_ns: int | None = None
+
+
+class State(NamedTuple):
+    """All that the pilot remembers, in groups that change at the same pace."""
+
+    phase: Phase
+    reason: str
+    t_phase_ns: int | None
+    vehicle: Vehicle
+    ranging: Ranging
+    observing: Observing
+    steering: Steering
+    flight: Flight
 
 
 def plan(settings: Settings) -> Plan:
@@ -105,21 +128,28 @@ def plan(settings: Settings) -> Plan:
 
 def initial(p: Plan) -> State:
     """Nothing seen, nothing sent."""
-    return State(guidance=p.scheme.initial(p.scheme.p))
+    observing = Observing(p.scheme.initial(p.scheme.p))
+    return State(Phase.AWAIT, "started", None, Vehicle(), Ranging(), observing, Steering(), Flight())
 
 
 def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
     """Take in one event; return the next state and what is to leave, in order."""
-    if s.t_first_ns is None:
-        s = s._replace(t_first_ns=event.t_ns, t_phase_ns=event.t_ns, t_guidance_ns=event.t_ns)
-    s = _TAKE_IN[type(event)](p, s, event)
-    s, change = _transit(p, s, event.t_ns)
+    t_ns = event.t_ns
+    if s.t_phase_ns is None:
+        s = s._replace(t_phase_ns=t_ns, observing=s.observing._replace(t_ns=t_ns))
+    kind = type(event)
+    s = _TAKE_IN[kind](p, s, event)
+    if kind in _MERE_TELEMETRY:  # the next range or tick, a moment later, acts on it
+        return s, ()
+    s, change = _transit(p, s, t_ns)
     outputs: list[Output] = [] if change is None else [change]
     if s.phase in phase.STREAMING and _is_due(p, s, event):
-        s = _control(p, s, event.t_ns)
-        if s.setpoint is not None:
-            outputs.append(s.setpoint)
-    return _upkeep(p, s, event.t_ns, outputs)
+        s, setpoint = _control(p, s, t_ns)
+        outputs.append(setpoint)
+    return _upkeep(p, s, t_ns, outputs)
+
+
+_MERE_TELEMETRY = frozenset({Attitude, LocalMotion, Malformed})
 
 
 # ------------------------------------------------------------------------------------- taking events in
@@ -130,31 +160,31 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     if known is None:
         return _reject(s, gate.Verdict.UNKNOWN_BEACON)
     number, beacon = known
-    track, verdict = gate.judge(p.settings.ranges, s.tracks.get(e.beacon), e)
+    r = s.ranging
+    track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e)
     if track is not None:
-        s = s._replace(tracks={**s.tracks, e.beacon: track})
+        r = r._replace(tracks={**r.tracks, e.beacon: track})
+        s = s._replace(ranging=r)
     if verdict is not gate.Verdict.ACCEPTED:
         return _reject(s, verdict)
-    s = _predict(p, s, e.t_ns)
+    o = _predict(p, s, e.t_ns)
     sigma_m = gate.sigma_m(p.settings.ranges, e, beacon.sigma_m)
     cfg = p.settings.vehicle
     height_m = cfg.height_m if s.vehicle.height_m is None else s.vehicle.height_m
     guidance = p.scheme.update(
-        p.scheme.p, s.guidance, number, e.range_m, sigma_m, height_m - beacon.height_m, cfg.height_sigma_m
+        p.scheme.p, o.guidance, number, e.range_m, sigma_m, height_m - beacon.height_m, cfg.height_sigma_m
     )
-    s = s._replace(guidance=guidance, range_m=e.range_m)
+    s = s._replace(observing=o._replace(guidance=guidance))
     if not guidance.accepted:
         return _reject(s, gate.Verdict.OUTLIER)
-    return s._replace(t_range_ns=e.t_ns, accepted=s.accepted + 1)
+    return s._replace(ranging=r._replace(t_ns=e.t_ns, accepted=r.accepted + 1, range_m=e.range_m))
 
 
 def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
-    s = _predict(p, s, e.t_ns)
-    return s._replace(vehicle=veh.on_attitude(s.vehicle, e))
+    return s._replace(observing=_predict(p, s, e.t_ns), vehicle=veh.on_attitude(s.vehicle, e))
 
 
 def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
-    s = _predict(p, s, e.t_ns)
     return s._replace(vehicle=veh.on_motion(s.vehicle, e))
 
 
@@ -171,15 +201,15 @@ def _on_landed(p: Plan, s: State, e: LandedReport) -> State:
 
 
 def _on_malformed(p: Plan, s: State, e: Malformed) -> State:
-    name = e.defect.value
-    return s._replace(malformed={**s.malformed, name: s.malformed.get(name, 0) + 1})
+    r, name = s.ranging, e.defect.value
+    return s._replace(ranging=r._replace(malformed={**r.malformed, name: r.malformed.get(name, 0) + 1}))
 
 
 def _on_stop(p: Plan, s: State, e: StopRequest) -> State:
-    return s._replace(stop_asked=True)
+    return s._replace(flight=s.flight._replace(stop_asked=True))
 
 
-def _on_tick(p: Plan, s: State, e: Event) -> State:
+def _on_tick(p: Plan, s: State, e: Tick) -> State:
     return s
 
 
@@ -197,33 +227,26 @@ _TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
 
 
 def _reject(s: State, verdict: gate.Verdict) -> State:
-    return s._replace(rejected={**s.rejected, verdict: s.rejected.get(verdict, 0) + 1})
+    r = s.ranging
+    return s._replace(ranging=r._replace(rejected={**r.rejected, verdict: r.rejected.get(verdict, 0) + 1}))
 
 
-def _predict(p: Plan, s: State, t_ns: int) -> State:
+def _predict(p: Plan, s: State, t_ns: int) -> Observing:
     """Bring the observer up to t_ns with the motion measured (or modelled) since."""
-    dt_s = min((t_ns - s.t_guidance_ns) * 1e-9, _LONGEST_PREDICTION_S)
+    o = s.observing
+    dt_s = min((t_ns - o.t_ns) * 1e-9, _LONGEST_PREDICTION_S)
     if dt_s <= 0.0:
-        return s
-    cfg = p.settings.vehicle
-    sent = s.setpoint
+        return o
+    cfg, sent = p.settings.vehicle, s.steering.setpoint
     commanded = BodyMotion() if sent is None else BodyMotion(sent.speed_m_s, 0.0, sent.yaw_rate_rad_s)
     motion = veh.body_motion(
-        s.vehicle, s.motion, commanded, t_ns, dt_s, cfg.velocity_lag_s, cfg.yaw_rate_lag_s
+        s.vehicle, o.motion, commanded, t_ns, dt_s, cfg.velocity_lag_s, cfg.yaw_rate_lag_s
     )
     guidance = p.scheme.predict(
-        p.scheme.p, s.guidance, dt_s, motion.forward_m_s, motion.left_m_s, motion.yaw_rate_rad_s
+        p.scheme.p, o.guidance, dt_s, motion.forward_m_s, motion.left_m_s, motion.yaw_rate_rad_s
     )
-    if not s.phase.is_engaged:
-        return s._replace(guidance=guidance, t_guidance_ns=t_ns, motion=motion)
-    path_m = s.path_m + math.hypot(motion.forward_m_s, motion.left_m_s) * dt_s
-    return s._replace(
-        guidance=guidance,
-        t_guidance_ns=t_ns,
-        motion=motion,
-        path_m=path_m,
-        engaged_s=(t_ns - s.t_engaged_ns) * 1e-9,
-    )
+    flown_m = math.hypot(motion.forward_m_s, motion.left_m_s) * dt_s if s.phase.is_engaged else 0.0
+    return Observing(guidance, t_ns, motion, o.path_m + flown_m)
 
 
 # ---------------------------------------------------------------------------------------------- phase
@@ -235,66 +258,68 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
         return s, None
     reason = condition.value
     if condition is Condition.BUDGET_SPENT:
-        reason = limits.spent(p.settings.limits, s.limits, t_ns) or reason
+        reason = limits.spent(p.settings.limits, s.steering.limits, t_ns) or reason
     severity = phase.severity(after, condition)
     change = PhaseChange(t_ns=t_ns, before=s.phase, after=after, reason=reason, severity=severity)
-    return _enter(p, s, after, condition, reason, t_ns), change
+    s = s._replace(phase=after, reason=reason, t_phase_ns=t_ns, flight=s.flight._replace(t_request_ns=None))
+    return _enter(p, s, after, condition, t_ns), change
 
 
-def _enter(p: Plan, s: State, after: Phase, condition: Condition, reason: str, t_ns: int) -> State:
+def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> State:
     """What a transition does besides changing the phase."""
-    s = s._replace(phase=after, reason=reason, t_phase_ns=t_ns, t_request_ns=None)
     if condition is Condition.ENGAGED:
         return s._replace(
-            guidance=p.scheme.initial(p.scheme.p),
-            command=_STANDSTILL,
-            limits=limits.start(t_ns),
-            hold_height_m=s.vehicle.height_m,
-            t_engaged_ns=t_ns,
-            t_command_ns=t_ns,
-            was_engaged=True,
-            captured=False,
-            path_m=0.0,
-            engaged_s=0.0,
+            observing=s.observing._replace(guidance=p.scheme.initial(p.scheme.p), path_m=0.0),
+            steering=s.steering._replace(
+                command=_STANDSTILL,
+                t_command_ns=t_ns,
+                hold_height_m=s.vehicle.height_m,
+                limits=limits.start(t_ns),
+            ),
+            flight=s.flight._replace(was_engaged=True, captured=False, t_engaged_ns=t_ns),
         )
-    if after is Phase.STALL and condition is Condition.RANGES_STALE:
+    if condition is Condition.RANGES_STALE:
         # Stale knowledge does not steer again: the bearing is acquired anew.
-        return s._replace(guidance=p.scheme.initial(p.scheme.p), command=_STANDSTILL)
+        return s._replace(
+            observing=s.observing._replace(guidance=p.scheme.initial(p.scheme.p)),
+            steering=s.steering._replace(command=_STANDSTILL),
+        )
     if after is Phase.STANDBY:
-        return s._replace(was_ready=True)
+        return s._replace(flight=s.flight._replace(was_ready=True))
     if after is Phase.HOLD:
-        return s._replace(captured=True)
+        return s._replace(flight=s.flight._replace(captured=True))
     return s
 
 
 def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     cfg, v = p.settings.loss, s.vehicle
-    range_age_s = _age_s(s.t_range_ns, t_ns)
-    if range_age_s > cfg.hand_over_after_s:
-        ranges = Ranges.LOST
-    elif range_age_s > cfg.stall_after_s:
-        ranges = Ranges.STALE
+    range_age_s = _age_s(s.ranging.t_ns, t_ns)
+    if range_age_s <= cfg.coast_after_s:
+        ranges = Ranges.FRESH
+    elif range_age_s <= cfg.stall_after_s:
+        ranges = Ranges.LATE
     else:
-        ranges = Ranges.LATE if range_age_s > cfg.coast_after_s else Ranges.FRESH
-    in_phase_s = (t_ns - s.t_phase_ns) * 1e-9
-    engaged = s.phase.is_engaged
+        ranges = Ranges.STALE if range_age_s <= cfg.hand_over_after_s else Ranges.LOST
+    in_phase_s = _age_s(s.t_phase_ns, t_ns)
     return Facts(
-        stop_asked=s.stop_asked,
+        stop_asked=s.flight.stop_asked,
         vehicle_gone=_age_s(v.t_link_ns, t_ns) > cfg.vehicle_after_s,
         actual=v.actual,
         intended=v.intended,
         armed=v.armed,
         grounded=v.landed is Landed.ON_GROUND,
-        was_engaged=s.was_engaged,
-        waited_out=not s.was_ready and in_phase_s > cfg.wait_s,
+        was_engaged=s.flight.was_engaged,
+        waited_out=in_phase_s > cfg.wait_s and not s.flight.was_ready,
         telemetry_late=_age_s(v.t_attitude_ns, t_ns) > cfg.telemetry_after_s,
         ranges=ranges,
         bearing_lost=ranges is Ranges.LATE
-        and p.scheme.knowledge(p.scheme.p, s.guidance).sigma_theta_rad > cfg.coast_bearing_sigma_rad,
-        budget_spent=engaged and limits.spent(p.settings.limits, s.limits, t_ns) is not None,
+        and p.scheme.knowledge(p.scheme.p, s.observing.guidance).sigma_theta_rad
+        > cfg.coast_bearing_sigma_rad,
+        budget_spent=s.phase.is_engaged
+        and limits.spent(p.settings.limits, s.steering.limits, t_ns) is not None,
         hand_over_overdue=s.phase is Phase.HAND_OVER
         and (cfg.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
-        purpose=s.command.purpose,
+        purpose=s.steering.command.purpose,
     )
 
 
@@ -307,23 +332,23 @@ def _age_s(then_ns: int | None, now_ns: int) -> float:
 
 def _is_due(p: Plan, s: State, event: Event) -> bool:
     """A believed range steers at once, a tick keeps the minimum rate; neither beyond the maximum rate."""
-    cfg = p.settings.stream
+    cfg, sent = p.settings.stream, s.steering.setpoint
     t_ns = event.t_ns
-    fresh = type(event) is RangeSample and s.t_range_ns == t_ns
-    overdue = s.setpoint is None or t_ns - s.setpoint.t_ns >= 1e9 / cfg.min_rate_hz
-    return (fresh or overdue) and t_ns >= s.t_allowed_ns - 1e9 / cfg.max_rate_hz
+    fresh = type(event) is RangeSample and s.ranging.t_ns == t_ns
+    overdue = sent is None or t_ns - sent.t_ns >= 1e9 / cfg.min_rate_hz
+    return (fresh or overdue) and t_ns >= s.steering.t_allowed_ns - 1e9 / cfg.max_rate_hz
 
 
-def _control(p: Plan, s: State, t_ns: int) -> State:
+def _control(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
     """Command, limits, and the setpoint that leaves."""
-    s = _predict(p, s, t_ns)
+    o, g = _predict(p, s, t_ns), s.steering
     cfg, v = p.settings.vehicle, s.vehicle
-    command = _STANDSTILL._replace(purpose=s.command.purpose)
+    command = _STANDSTILL._replace(purpose=g.command.purpose)
     if s.phase in phase.MOVING or s.phase is Phase.HOLD:
-        dt_s = (t_ns - s.t_command_ns) * 1e-9
-        guidance, command = p.scheme.command(p.scheme.p, s.guidance, dt_s, s.motion.yaw_rate_rad_s)
-        s = s._replace(guidance=guidance, command=command)
-    hold_m = s.hold_height_m if s.phase.is_engaged else v.height_m
+        dt_s = (t_ns - g.t_command_ns) * 1e-9
+        guidance, command = p.scheme.command(p.scheme.p, o.guidance, dt_s, o.motion.yaw_rate_rad_s)
+        o = o._replace(guidance=guidance)
+    hold_m = g.hold_height_m if s.phase.is_engaged else v.height_m
     climb_m_s = 0.0
     if cfg.setpoint_frame == "body_ned" and hold_m is not None and v.height_m is not None:
         climb_m_s = cfg.height_gain_1_s * (hold_m - v.height_m)
@@ -335,14 +360,10 @@ def _control(p: Plan, s: State, t_ns: int) -> State:
         height_m=hold_m if cfg.setpoint_frame == "local_ned" else None,
         climb_m_s=climb_m_s,
     )
-    state, setpoint = limits.apply(p.settings.limits, s.limits, wanted, v.height_m)
-    period_ns = int(1e9 / p.settings.stream.max_rate_hz)
-    return s._replace(
-        limits=state,
-        setpoint=setpoint,
-        t_command_ns=t_ns,
-        t_allowed_ns=max(s.t_allowed_ns, t_ns) + period_ns,
-    )
+    state, setpoint = limits.apply(p.settings.limits, g.limits, wanted, v.height_m)
+    t_allowed_ns = max(g.t_allowed_ns, t_ns) + int(1e9 / p.settings.stream.max_rate_hz)
+    steering = Steering(command, t_ns, g.hold_height_m, state, setpoint, t_allowed_ns)
+    return s._replace(observing=o, steering=steering), setpoint
 
 
 # --------------------------------------------------------------------------------------------- upkeep
@@ -353,20 +374,18 @@ _HAND_OVER_MODE = {"land": FlightMode.AUTO_LAND, "hold": FlightMode.AUTO_LOITER}
 
 def _upkeep(p: Plan, s: State, t_ns: int, outputs: list[Output]) -> tuple[State, tuple[Output, ...]]:
     """Heartbeat, mode request and status, each at its pace."""
-    if s.t_heartbeat_ns is None or t_ns - s.t_heartbeat_ns >= _HEARTBEAT_NS:
+    f = s.flight
+    if f.t_heartbeat_ns is None or t_ns - f.t_heartbeat_ns >= _HEARTBEAT_NS:
         outputs.append(CompanionHeartbeat(t_ns=t_ns, system_status=_system_status(s.phase)))
-        s = s._replace(t_heartbeat_ns=t_ns)
-    mode = _HAND_OVER_MODE.get(p.settings.loss.hand_over_to)
-    if (
-        s.phase is Phase.HAND_OVER
-        and mode is not None
-        and (s.t_request_ns is None or t_ns - s.t_request_ns >= _REQUEST_AGAIN_NS)
-    ):
-        outputs.append(ModeRequest(t_ns=t_ns, mode=mode))
-        s = s._replace(t_request_ns=t_ns)
+        s = s._replace(flight=f._replace(t_heartbeat_ns=t_ns))
+    if s.phase is Phase.HAND_OVER and _age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S:
+        mode = _HAND_OVER_MODE.get(p.settings.loss.hand_over_to)
+        if mode is not None:
+            outputs.append(ModeRequest(t_ns=t_ns, mode=mode))
+            s = s._replace(flight=s.flight._replace(t_request_ns=t_ns))
     period_ns = 1e9 / p.settings.stream.status_rate_hz
-    if s.t_status_ns is None or t_ns - s.t_status_ns >= period_ns or s.phase.is_final:
-        s = s._replace(t_status_ns=t_ns)
+    if f.t_status_ns is None or t_ns - f.t_status_ns >= period_ns or s.phase.is_final:
+        s = s._replace(flight=s.flight._replace(t_status_ns=t_ns))
         outputs.append(status(p, s, t_ns))
     return s, tuple(outputs)
 
@@ -386,7 +405,7 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
         missing.append(f"autopilot HEARTBEAT on {cfg.vehicle.mavlink}")
     elif _age_s(s.vehicle.t_attitude_ns, t_ns) > cfg.loss.telemetry_after_s:
         missing.append(f"ATTITUDE on {cfg.vehicle.mavlink}")
-    if _age_s(s.t_range_ns, t_ns) > cfg.loss.coast_after_s:
+    if _age_s(s.ranging.t_ns, t_ns) > cfg.loss.coast_after_s:
         door = ", ".join(cfg.ranges.connect + cfg.ranges.listen) or "no endpoint configured"
         missing.extend(
             f"ranges of beacon {beacon!r} (Zenoh site {cfg.ranges.site!r}, {door})" for beacon in p.beacons
@@ -396,12 +415,13 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
 
 def status(p: Plan, s: State, t_ns: int) -> Status:
     """The snapshot that people see."""
-    v, sent = s.vehicle, s.setpoint
+    v, r, sent = s.vehicle, s.ranging, s.steering.setpoint
     estimate = None
-    if s.accepted:
-        k = p.scheme.knowledge(p.scheme.p, s.guidance)
+    k = p.scheme.knowledge(p.scheme.p, s.observing.guidance)
+    if k.sigma_d_m < UNKNOWN_M:
         estimate = Estimate(k.d_m, k.sigma_d_m, k.theta_rad, k.sigma_theta_rad)
     streaming = sent is not None and s.phase in phase.STREAMING
+    engaged_s = _age_s(s.flight.t_engaged_ns, t_ns) if s.phase.is_engaged else 0.0
     return Status(
         t_ns=t_ns,
         phase=s.phase,
@@ -409,11 +429,11 @@ def status(p: Plan, s: State, t_ns: int) -> Status:
         awaited=awaited(p, s, t_ns) if s.phase in (Phase.AWAIT, Phase.ENDED) else (),
         mode=v.actual,
         armed=v.armed,
-        range_m=s.range_m,
-        range_age_s=None if s.t_range_ns is None else _age_s(s.t_range_ns, t_ns),
-        ranges_accepted=s.accepted,
-        rejected={verdict.value: n for verdict, n in s.rejected.items()},
-        malformed=s.malformed,
+        range_m=r.range_m,
+        range_age_s=None if r.t_ns is None else _age_s(r.t_ns, t_ns),
+        ranges_accepted=r.accepted,
+        rejected={verdict.value: n for verdict, n in r.rejected.items()},
+        malformed=r.malformed,
         telemetry_age_s=None if v.t_attitude_ns is None else _age_s(v.t_attitude_ns, t_ns),
         estimate=estimate,
         speed_m_s=sent.speed_m_s if sent is not None and streaming else None,
@@ -422,7 +442,7 @@ def status(p: Plan, s: State, t_ns: int) -> Status:
         y_m=v.y_m,
         height_m=v.height_m,
         heading_rad=None if v.t_attitude_ns is None else v.heading_rad,
-        path_m=s.path_m,
-        engaged_s=s.engaged_s,
-        captured=s.captured,
+        path_m=s.observing.path_m,
+        engaged_s=engaged_s,
+        captured=s.flight.captured,
     )

@@ -227,6 +227,8 @@ class CompanionHeartbeat(Output, frozen=True, gc=False, tag="companion_heartbeat
 class Phase(Enum):
     """Where the flight stands. The transitions are the table in `phase.py`."""
 
+    __hash__ = object.__hash__  # looked up on every event; Enum's own hashes the name
+
     AWAIT = "await"
     """Vehicle telemetry or ranges are still missing. Silent."""
     STANDBY = "standby"

@@ -276,13 +276,13 @@ def test_bad_ranges_are_counted_by_reason() -> None:
         Malformed(t_ns, Defect.RANGE_PAYLOAD),
     ]
     state = fly(bad, before=before).state
-    assert state.rejected == {
+    assert state.ranging.rejected == {
         Verdict.REPEATED: 1,
         Verdict.OUT_OF_ORDER: 1,
         Verdict.ABSURD: 1,
         Verdict.UNKNOWN_BEACON: 1,
     }
-    assert state.malformed == {"unreadable range": 1}
+    assert state.ranging.malformed == {"unreadable range": 1}
 
 
 def test_a_flight_ends_when_the_vehicle_disarms() -> None:
