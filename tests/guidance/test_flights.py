@@ -13,6 +13,7 @@ from companion.guidance.settings import GuidanceSettings
 
 from .plant import IDEAL, Flight, Plant, Start, flyer, path_ratios, random_starts
 
+pytestmark = pytest.mark.xdist_group("numba")  # one worker compiles, not each
 NOMINAL = Plant()
 PX4_LIKE = Plant(yaw_rate_lag_s=0.47, speed_lag_s=0.72)
 
