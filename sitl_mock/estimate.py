@@ -55,7 +55,7 @@ QUALITY: dict[TelemetryKind, Quality] = {
     "stock": Quality(
         position=Spread(0.14, 0.155, 1.7),
         height=Spread(0.33, 0.4, 4.2),
-        velocity=Spread(0.02, 0.235, 1.4),
+        velocity=Spread(0.02, 0.235, 1.3),
         climb=Spread(0.0, 0.168, 2.0),
         heading=Spread(0.077, 0.075, 8.0),
         yaw_rate_noise_rad_s=0.0142,

@@ -26,6 +26,13 @@ Row = dict[str, Any]
 SCENARIO = Scenario(start_x_m=0.0, start_y_m=0.0, start_heading_rad=pi / 2)
 """The recordings begin at the origin, the nose to the North."""
 
+_REPLAYED = frozenset(
+    {
+        "ATTITUDE", "COMMAND_ACK", "CURRENT_MODE", "EXTENDED_SYS_STATE", "HEARTBEAT", "LOCAL_POSITION_NED",
+        "SYS_STATUS",
+    }
+)  # fmt: skip
+
 
 @cache
 def recording(name: str) -> tuple[Row, ...]:
@@ -51,7 +58,10 @@ def estimate_and_truth(kind: str) -> dict[str, list[float]]:
 
 
 class Bench:
-    """The mock on its two links, in virtual time: messages go in by `send`, `run` collects what comes out."""
+    """The mock on its two links, in virtual time: messages go in by `send`, `run` collects what comes out.
+
+    With `keep` only messages of these names on the onboard link are collected.
+    """
 
     def __init__(
         self,
@@ -59,7 +69,9 @@ class Bench:
         seed: int = 1,
         params: dict[str, int | float] | None = None,
         faults: tuple[FaultAt, ...] = (),
+        keep: frozenset[str] | None = None,
     ) -> None:
+        self._keep = keep
         self.faults = Faults(faults)
         self.vehicle = Vehicle(
             scenario, scenario.start_x_m, scenario.start_y_m, 0.0, scenario.start_heading_rad
@@ -89,10 +101,11 @@ class Bench:
         while self._steps < round(until_s / STEP_S):
             self._steps += 1
             for link, message in self.protocol.step():
+                name = message.get_type()
+                if self._keep is not None and (name not in self._keep or link is not Link.ONBOARD):
+                    continue
                 fields = {name: getattr(message, name) for name in message.fieldnames}
-                self.rows.append(
-                    {"t": self.t, "dir": "rx", "link": link, "msg": message.get_type(), **fields}
-                )
+                self.rows.append({"t": self.t, "dir": "rx", "link": link, "msg": name, **fields})
 
     def last(self, name: str) -> Row:
         """The newest message with this name."""
@@ -106,7 +119,7 @@ def replay(
     seed: int = 1,
 ) -> list[Row]:
     """What the mock answers to a recording's client. `steer` may change a message before it is sent."""
-    bench = Bench(seed=seed, params=params)
+    bench = Bench(seed=seed, params=params, keep=_REPLAYED)
     rows = recording(name)
     for row in rows:
         if row["dir"] != "tx":

@@ -17,7 +17,8 @@ from sitl_mock.scenario import Scenario, TelemetryKind
 from sitl_mock.vehicle import Vehicle, wrap
 from tests.sitl_mock.recordings import estimate_and_truth
 
-SEEDS = range(8)
+pytestmark = pytest.mark.xdist_group("estimate")  # the flights are flown once
+SEEDS = range(10)
 RATE_HZ = 30
 Columns = dict[str, list[float]]
 QUANTITIES = ("n_m", "e_m", "d_m", "vn_m_s", "ve_m_s", "vd_m_s", "yaw_rad")

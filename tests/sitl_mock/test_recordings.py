@@ -8,6 +8,7 @@ curves within tolerances that are stated here.
 from __future__ import annotations
 
 from bisect import bisect
+from functools import cache
 from itertools import pairwise
 from math import atan2, cos, fsum, hypot, inf, sin
 from typing import Any
@@ -41,12 +42,19 @@ SHOWN_EVERY_S = 0.2
 
 Rows = tuple[Row, ...] | list[Row]
 
+pytestmark = pytest.mark.xdist_group("recordings")  # the replays are made once
 
-@pytest.fixture(scope="module", params=FLIGHTS)
+
+@cache
+def replayed(name: str) -> Rows:
+    """The mock's answers to a recording's client."""
+    return replay(name, {"COM_OBL_RC_ACT": FLIGHTS[name]})
+
+
+@pytest.fixture(params=FLIGHTS)
 def flight(request: pytest.FixtureRequest) -> tuple[Rows, Rows]:
     """A recording and the mock's replay of it."""
-    name: str = request.param
-    return recording(name), replay(name, {"COM_OBL_RC_ACT": FLIGHTS[name]})
+    return recording(request.param), replayed(request.param)
 
 
 def assert_same_order(real: list[tuple[float, Any]], mock: list[tuple[float, Any]]) -> None:
@@ -245,7 +253,7 @@ def test_held_height_stays_within_centimetres(steps: tuple[Rows, Rows]) -> None:
 def test_bare_zero_climb_drifts() -> None:
     """BODY_NED with v_z = 0: PX4's height is off by 0.1 to 1.3 m in 60 s. So in nine flights of ten."""
     ends = []
-    for seed in range(20):
+    for seed in range(12):
         vehicle = Vehicle(SCENARIO, 0.0, 0.0, 5.0, 0.0)
         px4 = Px4(SCENARIO, seed, vehicle, Params(), Faults())
         px4.start_in_air()
@@ -257,7 +265,7 @@ def test_bare_zero_climb_drifts() -> None:
         ends.append(abs(vehicle.height_m - 5.0))
     ends.sort()
     assert 0.1 < ends[len(ends) // 2] < 1.3
-    assert ends[-3] < 1.3
+    assert ends[-2] < 1.3
 
 
 def test_height_step() -> None:
@@ -287,7 +295,7 @@ def test_height_step() -> None:
 @pytest.mark.parametrize("name", ["loss_default_no_rc", "loss_hold_then_resume", "loss_land"])
 def test_lost_stream_is_flown_on_for_a_second(name: str) -> None:
     """The last velocity is flown on; the failsafe comes 0.96 to 1.16 s after the stream's end."""
-    rows = replay(name, {"COM_OBL_RC_ACT": FLIGHTS[name]})
+    rows = replayed(name)
     stopped = next(row["t"] for row in recording(name) if row["msg"] == "stream stops")
     modes = changes(rows, "CURRENT_MODE", "custom_mode", "intended_custom_mode")
     failsafe = next(t for t, (mode, intended) in modes if mode != intended)
@@ -297,7 +305,7 @@ def test_lost_stream_is_flown_on_for_a_second(name: str) -> None:
 
 
 def test_resumed_stream_returns_to_offboard_by_itself() -> None:
-    rows = replay("loss_hold_then_resume", {"COM_OBL_RC_ACT": 5})
+    rows = replayed("loss_hold_then_resume")
     resumed = next(row["t"] for row in recording("loss_hold_then_resume") if row["msg"] == "stream resumes")
     modes = changes(rows, "CURRENT_MODE", "custom_mode", "intended_custom_mode")
     back = next(t for t, (mode, _) in modes if t > resumed and mode == 6 << 16)
@@ -306,7 +314,7 @@ def test_resumed_stream_returns_to_offboard_by_itself() -> None:
 
 def test_blind_descent_keeps_drifting_and_sinks_at_the_landing_speed() -> None:
     """Recorded: level, so the speed dies by drag alone, and 0.7 m/s down."""
-    real, mock = recording("loss_default_no_rc"), replay("loss_default_no_rc")
+    real, mock = recording("loss_default_no_rc"), replayed("loss_default_no_rc")
     for t in (26.0, 28.0, 30.0):
         near = [
             next(row for row in received(rows, "LOCAL_POSITION_NED") if "vz" in row and row["t"] > t)
