@@ -34,9 +34,10 @@ REST_TURN_RAD = 0.2
 BEGUN_MOVE_M = 0.5
 BEGUN_TURN_RAD = 1.0
 """Rest counts only once the vehicle has moved or turned so far: before that the flight has not begun."""
+CLIMB_S = 30.0
 LANDING_S = 30.0
-LANDING_SLOWEST_M_S = 0.3
-"""Time allowed for the landing: LANDING_S, and the height at this speed."""
+SLOWEST_M_S = 0.3
+"""Time allowed for climb and landing: CLIMB_S or LANDING_S, and the height at this speed."""
 
 MANUAL_MODES = frozenset(
     {FlightMode.MANUAL, FlightMode.STABILIZED, FlightMode.ACRO, FlightMode.ALTCTL, FlightMode.POSCTL}
@@ -219,9 +220,17 @@ class _Script:
             raise _GiveUpError(OperatorResult.REFUSED, str(error)) from error
         self._tell(f"taking off to {self._height_m:.1f} m")
         steady_since: float | None = None
-        for now in self._until(self._deadline, aloud=True):
+        climbs = False
+        limit = time.monotonic() + CLIMB_S + self._height_m / SLOWEST_M_S
+        for now in self._until(min(limit, self._deadline), aloud=True):
             if not self._vehicle.is_armed:
                 raise _GiveUpError(OperatorResult.REFUSED, "the vehicle disarmed instead of climbing")
+            mode = self._vehicle.mode
+            if climbs and mode in MANUAL_MODES:
+                raise _GiveUpError(
+                    OperatorResult.PILOT, f"mode {mode.value}: a pilot took over, left to them"
+                )
+            climbs = climbs or mode is FlightMode.AUTO_TAKEOFF
             motion = self._vehicle.motion()
             if motion is None or not self._is_steady(motion):
                 steady_since = None
@@ -237,15 +246,17 @@ class _Script:
         self._tell("selecting OFFBOARD")
         asked = 0
         while (left_s := self._deadline - time.monotonic()) > 0.0:
+            mode = self._vehicle.mode
+            if mode in MANUAL_MODES:
+                raise _GiveUpError(
+                    OperatorResult.PILOT, f"mode {mode.value}: a pilot took over, left to them"
+                )
             if self._became(FlightMode.OFFBOARD):
                 self._tell("mode OFFBOARD: the companion flies")
                 return
-            mode = self._vehicle.mode
-            if mode in MANUAL_MODES:
-                raise _GiveUpError(OperatorResult.PILOT, f"mode {mode.value}: a pilot flies, left to them")
             if asked % 4 == 0:
                 self._tell(
-                    f"OFFBOARD refused, mode {mode.value}: no companion streams setpoints yet; "
+                    f"OFFBOARD refused, mode {self._vehicle.mode.value}: no companion streams setpoints yet; "
                     f"asking on for {left_s:.0f} s"
                 )
             asked += 1
@@ -295,7 +306,7 @@ class _Script:
         """Land and wait until the vehicle has disarmed; True if it has."""
         motion = self._vehicle.motion()
         height_m = self._height_m if motion is None else max(self._height(motion), 0.0)
-        limit = time.monotonic() + LANDING_S + height_m / LANDING_SLOWEST_M_S
+        limit = time.monotonic() + LANDING_S + height_m / SLOWEST_M_S
         asked_at = -math.inf
         for now in self._until(limit, aloud=True):
             if not self._vehicle.is_armed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import signal
@@ -11,13 +12,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
 BODY_VELOCITY_AND_YAW_RATE = 1479
-OFFBOARD = 6
-START_S = 20.0
+DO_SET_MODE, POSCTL, OFFBOARD = 176, 3, 6
 
 
 class Ended(NamedTuple):
@@ -68,8 +69,15 @@ class Mock:
 class StandIn:
     """Streams forward speed and yaw rate at 20 Hz, by the seconds since OFFBOARD; None for silence."""
 
-    def __init__(self, port: int, plan: Callable[[float | None], tuple[float, float] | None]) -> None:
+    def __init__(
+        self,
+        port: int,
+        plan: Callable[[float | None], tuple[float, float] | None],
+        pilot_after_s: float = math.inf,
+    ) -> None:
+        """`pilot_after_s` after OFFBOARD a pilot takes over: POSCTL is commanded, once."""
         self._plan = plan
+        self._pilot_after_s = pilot_after_s
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect(("127.0.0.1", port))
         self._socket.setblocking(False)
@@ -93,7 +101,11 @@ class StandIn:
         while not self._over.wait(0.05):
             since = self._offboard_since(reader, since)
             messages = [mav.heartbeat_encode(18, 8, 0, 0, 4)]
-            command = self._plan(None if since is None else time.monotonic() - since)
+            flown_s = None if since is None else time.monotonic() - since
+            if flown_s is not None and flown_s > self._pilot_after_s:
+                self._pilot_after_s = math.inf
+                messages.append(mav.command_long_encode(1, 1, DO_SET_MODE, 0, 1, POSCTL, 0, 0, 0, 0, 0))
+            command = self._plan(flown_s)
             if command is not None:
                 messages.append(
                     mav.set_position_target_local_ned_encode(
@@ -154,12 +166,11 @@ class Operator:
         self.process.send_signal(signal.SIGINT)
 
     def ended(self, limit_s: float = 90.0) -> Ended:
-        """Wait for its end."""
-        try:
-            status = self.process.wait(limit_s)
-        finally:
-            self.process.kill()
-            self._reader.join()
+        """Wait for its end; one that does not come is status −9."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(limit_s)
+        self.process.kill()
+        self._reader.join()
         while (line := self._new.get()) is not None:
             self._lines.append(line)
-        return Ended(status, self._lines)
+        return Ended(self.process.wait(), self._lines)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import socket
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -52,8 +54,10 @@ class ComesLate:
         return turns_and_stops(since_s) if self.here else None
 
 
-def fly(plan: Plan, *, mock: tuple[str, ...] = (), operator: tuple[str, ...] = ()) -> Ended:
-    with Mock(*mock) as vehicle, StandIn(vehicle.onboard_port, plan):
+def fly(
+    plan: Plan, *, mock: tuple[str, ...] = (), operator: tuple[str, ...] = (), pilot_after_s: float = math.inf
+) -> Ended:
+    with Mock(*mock) as vehicle, StandIn(vehicle.onboard_port, plan, pilot_after_s):
         return Operator(f"udpout:127.0.0.1:{vehicle.ground_port}", *operator).ended()
 
 
@@ -74,12 +78,19 @@ def fly_interrupted() -> Ended:
         return operator.ended()
 
 
+def fly_with_a_pilot() -> Ended:
+    with tempfile.TemporaryDirectory() as folder:
+        scenario = Path(folder, "scenario.toml")
+        scenario.write_text("[sim]\nremote_control = true\n")  # without one PX4 refuses POSCTL
+        return fly(spins, mock=("--scenario", str(scenario)), pilot_after_s=2.0)
+
+
 FLIGHTS: dict[str, Callable[[], Ended]] = {
     "finished": fly_late,
     "took over": lambda: fly(spins, operator=("--take-over-after", "5")),
     "left offboard": lambda: fly(Dies(), mock=("--param", "COM_OBL_RC_ACT=5")),
-    "pilot": lambda: fly(spins, mock=("--fault", "rc-switch@15")),
-    "no companion": lambda: fly(lambda _: None, operator=("--timeout", "14")),
+    "pilot": fly_with_a_pilot,
+    "no companion": lambda: fly(lambda _: None, operator=("--timeout", "25")),
     "not ready": lambda: fly(spins, mock=("--fault", "gps-lost@0"), operator=("--timeout", "5")),
     "interrupted": fly_interrupted,
 }
