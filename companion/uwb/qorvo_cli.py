@@ -32,7 +32,9 @@ _HEAD = re.compile(
 _FIELD = rb", ([A-Za-z_]++(?:\[\w++\])?+)=(-?\w++(?:\.\d++)?+)"
 _FIELDS = re.compile(_FIELD)
 _ENTRY = re.compile(
-    rb'\[mac_address=0x([0-9A-Fa-f]{4}|[0-9A-Fa-f]{16}), status="([A-Za-z_]{1,32})"((?:' + _FIELD + rb")*+)\]"
+    rb'\[mac_address=0x([0-9A-Fa-f]{4}|[0-9A-Fa-f]{16}), status="([A-Z][A-Za-z_]{0,31})"((?:'
+    + _FIELD
+    + rb")*+)\]"
 )
 _LIMIT_BYTES = 4096
 """Twice what the firmware's buffer of 256 bytes a peer holds for its eight peers."""
@@ -134,9 +136,9 @@ def _json(message: bytes) -> list[Measured]:
     for result in block.results:
         if _ADDRESS.fullmatch(result.Addr) is None:
             raise Unreadable(ParseDefect.FIELD)
-        if result.Status != "Ok":
-            m = Measured(peer=result.Addr.lower(), status=result.Status[:64] or "?", sequence=block.Block)
-        elif result.D_cm is None:
+        if result.Status == "Err":
+            m = Measured(peer=result.Addr.lower(), status=result.Status, sequence=block.Block)
+        elif result.Status != "Ok" or result.D_cm is None:
             raise Unreadable(ParseDefect.FIELD)
         else:
             range_m, status = distance(result.D_cm / 100.0)

@@ -166,7 +166,7 @@ def to_message(payload: bytes, attachment: bytes | None) -> RangeMessage:
     """The range as this project's own message.
 
     Session and sequence are rmw_zenoh's publisher id and counter. Without an attachment, as it comes from
-    zenoh-plugin-ros2dds, the stamp in nanoseconds counts, which rises but not by one. Raises NotAMeasurement
+    zenoh-plugin-ros2dds, the stamp in microseconds counts, which rises but not by one. Raises NotAMeasurement
     (infinite, or outside min_range..max_range) or ValueError (unreadable, or a repetition would not show).
     """
     m = decode_range(payload)
@@ -178,7 +178,7 @@ def to_message(payload: bytes, attachment: bytes | None) -> RangeMessage:
         told = decode_attachment(attachment)
         session, seq = told.gid.hex(), told.sequence
     else:
-        session, seq = "ros2", m.stamp_ns
+        session, seq = "ros2", m.stamp_ns // 1000
     if seq <= 0:
         raise ValueError("neither a counter nor a stamp: a repeated range could not be told")
     variance = m.variance_m2 if m.variance_m2 is not None else 0.0

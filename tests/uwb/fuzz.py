@@ -85,6 +85,7 @@ def run(inputs: int, seed: int) -> Counter[str]:
     random = Random(seed)
     parsers = {family: _fresh(family) for family in Family}
     families = list(Family)
+    true = {f: [m for s in SAMPLES if s.family is f for m in _fresh(f).feed(s.data)] for f in families}
     figures: Counter[str] = Counter()
     for number in range(1, inputs + 1):
         family = random.choice(families)
@@ -94,6 +95,9 @@ def run(inputs: int, seed: int) -> Counter[str]:
             measured = parser.feed(piece)
             check(parser, measured)
             figures[f"{family.value}: measurements"] += len(measured)
+            figures[f"{family.value}: measurements altered unnoticed"] += sum(
+                m not in true[family] for m in measured
+            )
         figures[f"{family.value}: inputs"] += 1
         figures["bytes"] += len(data)
         if number % _RECOVERY_EVERY == 0:
