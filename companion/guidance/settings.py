@@ -1,4 +1,4 @@
-"""The `[guidance]` table of the configuration; the text under a key is its documentation."""
+"""The `[guidance]` table of the configuration."""
 
 from __future__ import annotations
 
@@ -18,47 +18,114 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Raises ValueError (as msgspec.ValidationError when decoded) where two values contradict each other.
     """
 
-    observer: Literal["kalman", "luenberger"] = "kalman"
-    """Who estimates the bearing: the Kalman filter, or the paper's observer Eq. (23)."""
-    controller: Literal["lq", "lq-paper"] = "lq"
-    """Who steers: LQ on the bearing error, or the paper's LQ law Eq. (12)."""
-    speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.5
-    """Forward speed while moving, v̄ of the paper."""
-    yaw_rate_max_rad_s: Annotated[float, Meta(gt=0.0, le=3.0)] = 1.0
-    """Largest yaw rate, ω̄ of the paper."""
-    capture_radius_m: Annotated[float, Meta(gt=0.0, le=50.0)] = 0.5
-    """The target is captured within this horizontal distance, ε of the paper."""
-    stop_margin_m: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
-    """Stop where the estimated distance is below the capture radius minus this; go on where it is above the
-    radius."""
-    first_turn: Literal["left", "right"] = "left"
-    """Side of the probing turn while nothing is known of the bearing."""
-    probe_turn_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.5
-    """Length of the first turn, at the largest yaw rate, before steering begins."""
-    probe_sigma_rad: Annotated[float, Meta(gt=0.0, le=math.pi)] = 0.5
-    """`kalman`: turn at the largest yaw rate while the bearing's sigma is above this."""
-    turn_through_rad: Annotated[float, Meta(ge=0.0, le=1.5)] = 0.6
-    """A turn under way is not reversed while the target is this near to straight astern."""
-    lq_q: tuple[Weight, WeightOrNone] = (16.0, 1e-6)
-    """`lq`: weights of the squared bearing and of the squared yaw rate."""
-    lq_r: Weight = 1.0
-    """`lq`: weight of the squared yaw-rate command."""
-    kalman_position_noise: WeightOrNone = 1e-3
-    """`kalman`: process noise on the target's position, m²/s."""
-    kalman_turn_noise: WeightOrNone = 1e-3
-    """`kalman`: process noise on the heading, rad²/s."""
-    kalman_gate_sigma: Annotated[float, Meta(ge=1.0, le=100.0)] = 4.0
-    """`kalman`: a range further than this many sigmas from the expected one is not believed."""
-    lq_paper_q: tuple[Weight, WeightOrNone] = (0.5, 1.0)
-    """`lq-paper`: diagonal of the weight Q_c in Eq. (8)."""
-    lq_paper_r: Weight = 100.0
-    """`lq-paper`: weight r_c in Eq. (8)."""
-    luenberger_pole_rad_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.2
-    """`luenberger`: all three poles are at minus this, λ of Eq. (25)."""
-    luenberger_yaw_rate_floor_rad_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.02
-    """`luenberger`: smallest yaw rate in the gain Eq. (25), which divides by it."""
-    initial_bearing_rad: Annotated[float, Meta(ge=-math.pi, le=math.pi)] | None = None
-    """`luenberger`: the target's bearing when guidance begins, which the paper takes as known."""
+    observer: Annotated[
+        Literal["kalman", "luenberger"],
+        Meta(description="Who estimates the bearing: the Kalman filter, or the paper's observer Eq. (23)."),
+    ] = "kalman"
+    controller: Annotated[
+        Literal["lq", "lq-paper"],
+        Meta(description="Who steers: LQ on the bearing error, or the paper's LQ law Eq. (12)."),
+    ] = "lq"
+    speed_m_s: Annotated[
+        float, Meta(gt=0.0, le=5.0, description="Forward speed while moving, v̄ of the paper.")
+    ] = 0.5
+    yaw_rate_max_rad_s: Annotated[
+        float, Meta(gt=0.0, le=3.0, description="Largest yaw rate, ω̄ of the paper.")
+    ] = 1.0
+    capture_radius_m: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=50.0,
+            description="The target is captured within this horizontal distance, ε of the paper.",
+        ),
+    ] = 0.5
+    stop_margin_m: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=10.0,
+            description=(
+                "Stop where the estimated distance is below the capture radius minus this; go on "
+                "where it is above the radius."
+            ),
+        ),
+    ] = 0.05
+    first_turn: Annotated[
+        Literal["left", "right"],
+        Meta(description="Side of the probing turn while nothing is known of the bearing."),
+    ] = "left"
+    probe_turn_s: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=60.0,
+            description="Length of the first turn, at the largest yaw rate, before steering begins.",
+        ),
+    ] = 0.5
+    probe_sigma_rad: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=math.pi,
+            description="`kalman`: turn at the largest yaw rate while the bearing's sigma is above this.",
+        ),
+    ] = 0.5
+    turn_through_rad: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=1.5,
+            description="A turn under way is not reversed while the target is this near to straight astern.",
+        ),
+    ] = 0.6
+    lq_q: Annotated[
+        tuple[Weight, WeightOrNone],
+        Meta(description="`lq`: weights of the squared bearing and of the squared yaw rate."),
+    ] = (16.0, 1e-6)
+    lq_r: Annotated[Weight, Meta(description="`lq`: weight of the squared yaw-rate command.")] = 1.0
+    kalman_position_noise: Annotated[
+        WeightOrNone, Meta(description="`kalman`: process noise on the target's position, m²/s.")
+    ] = 1e-3
+    kalman_turn_noise: Annotated[
+        WeightOrNone, Meta(description="`kalman`: process noise on the heading, rad²/s.")
+    ] = 1e-3
+    kalman_gate_sigma: Annotated[
+        float,
+        Meta(
+            ge=1.0,
+            le=100.0,
+            description=(
+                "`kalman`: a range further than this many sigmas from the expected one is not "
+                "believed."
+            ),
+        ),
+    ] = 4.0
+    lq_paper_q: Annotated[
+        tuple[Weight, WeightOrNone], Meta(description="`lq-paper`: diagonal of the weight Q_c in Eq. (8).")
+    ] = (0.5, 1.0)
+    lq_paper_r: Annotated[Weight, Meta(description="`lq-paper`: weight r_c in Eq. (8).")] = 100.0
+    luenberger_pole_rad_s: Annotated[
+        float,
+        Meta(gt=0.0, le=5.0, description="`luenberger`: all three poles are at minus this, λ of Eq. (25)."),
+    ] = 0.2
+    luenberger_yaw_rate_floor_rad_s: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=1.0,
+            description="`luenberger`: smallest yaw rate in the gain Eq. (25), which divides by it.",
+        ),
+    ] = 0.02
+    initial_bearing_rad: Annotated[
+        Annotated[float, Meta(ge=-math.pi, le=math.pi)] | None,
+        Meta(
+            description=(
+                "`luenberger`: the target's bearing when guidance begins, which the paper takes "
+                "as known."
+            )
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         """Hold what no single key can hold."""
