@@ -154,15 +154,18 @@ def _design(args: argparse.Namespace) -> int:
     report = design(loaded.config.guidance, vehicle.yaw_rate_lag_s, vehicle.response_delay_s)
     print(table(report))
     if args.plots is not None:
-        for path in plot(report, args.plots):
-            print(f"wrote {path}")
+        print(f"wrote {plot(report, args.plots)}")
     return Exit.OK
 
 
 def _demo(args: argparse.Namespace) -> int:
+    from companion.config import ConfigError
     from companion.demo import demo
 
-    return demo(args.config)
+    try:
+        return demo(args.config)
+    except ConfigError as error:
+        raise _UsageError(str(error)) from error
 
 
 def _load(path: Path | None, overrides: Sequence[str]) -> Loaded:

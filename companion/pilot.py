@@ -98,6 +98,8 @@ class Flight(NamedTuple):
     was_engaged: bool = False
     captured: bool = False
     t_engaged_ns: int = 0
+    engaged_s: float = 0.0
+    """How long the last engagement lasted, once it is over."""
     t_heartbeat_ns: int | None = None
     t_status_ns: int | None = None
     t_request_ns: int | None = None
@@ -267,6 +269,8 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
 
 def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> State:
     """What a transition does besides changing the phase."""
+    if s.flight.t_engaged_ns and not after.is_engaged and not s.flight.engaged_s:
+        s = s._replace(flight=s.flight._replace(engaged_s=_age_s(s.flight.t_engaged_ns, t_ns)))
     if condition is Condition.ENGAGED:
         return s._replace(
             observing=s.observing._replace(guidance=p.scheme.initial(p.scheme.p), path_m=0.0),
@@ -276,7 +280,7 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
                 hold_height_m=s.vehicle.height_m,
                 limits=limits.start(t_ns),
             ),
-            flight=s.flight._replace(was_engaged=True, captured=False, t_engaged_ns=t_ns),
+            flight=s.flight._replace(was_engaged=True, captured=False, t_engaged_ns=t_ns, engaged_s=0.0),
         )
     if condition is Condition.RANGES_STALE:
         # Stale knowledge does not steer again: the bearing is acquired anew.
@@ -421,7 +425,7 @@ def status(p: Plan, s: State, t_ns: int) -> Status:
     if k.sigma_d_m < UNKNOWN_M:
         estimate = Estimate(k.d_m, k.sigma_d_m, k.theta_rad, k.sigma_theta_rad)
     streaming = sent is not None and s.phase in phase.STREAMING
-    engaged_s = _age_s(s.flight.t_engaged_ns, t_ns) if s.phase.is_engaged else 0.0
+    engaged_s = _age_s(s.flight.t_engaged_ns, t_ns) if s.phase.is_engaged else s.flight.engaged_s
     return Status(
         t_ns=t_ns,
         phase=s.phase,
