@@ -25,6 +25,8 @@ _CRAWL_HEIGHT_M = 0.68
 """Below this the landing crawls, recorded."""
 _LANDING_RAMP_S = 0.5
 """A commanded landing gets to speed within this, recorded."""
+_TAKE_OFF_ACCEPTANCE_M = 0.8
+"""A take-off is over this close to its height (NAV_MC_ALT_RAD)."""
 _TAKE_OFF_BRAKE_M_S2 = 0.41
 _HOLD_HEIGHT_P_1_S = 0.7
 """How the height is approached by a take-off, and held by the automatic modes; recorded."""
@@ -90,8 +92,12 @@ class Autopilot:
         return wrap(self._vehicle.heading_rad + self._errors.heading_rad)
 
     @property
-    def take_off_remaining_m(self) -> float:
-        """How much of the take-off is left to climb."""
+    def take_off_done(self) -> bool:
+        """True where a take-off is as good as at its height."""
+        return self._take_off_height is not None and self._take_off_remaining_m < _TAKE_OFF_ACCEPTANCE_M
+
+    @property
+    def _take_off_remaining_m(self) -> float:
         return (self._take_off_height or 0.0) - self.height_m
 
     # ------------------------------------------------------------------------------------------- modes
@@ -117,7 +123,7 @@ class Autopilot:
             self._hold_x, self._hold_y = x, y
             if self._take_off_height is None:
                 self.set_take_off(None)
-        elif mode is Mode.LOITER and self._take_off_height is not None:
+        elif mode is Mode.LOITER and self._take_off_height is not None and self.take_off_done:
             self._hold_x, self._hold_y, self._hold_height = x, y, self._take_off_height
         else:
             self._hold_height = height
@@ -165,7 +171,7 @@ class Autopilot:
             return self._wanted_offboard()
         vx, vy = self._hold_position()
         if mode is Mode.TAKEOFF:
-            remaining = self.take_off_remaining_m
+            remaining = self._take_off_remaining_m
             climb = copysign(sqrt(2.0 * _TAKE_OFF_BRAKE_M_S2 * abs(remaining)), remaining)
             climb = min(climb, params["MPC_TKO_SPEED"])
         elif mode is Mode.LAND:

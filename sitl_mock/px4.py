@@ -26,9 +26,8 @@ LAND_DETECTION_S = 3.25
 NOTICE_S = 0.05
 """How long the commander takes to see that a stream has stopped, recorded."""
 REBOOT_S = 2.0
-TAKEOFF_ACCEPTANCE_M = 0.8
-"""The take-off is over this close to its height (NAV_MC_ALT_RAD)."""
-CRITICAL, WARNING, INFO = 2, 4, 6
+CRITICAL, INFO = 2, 6
+"""MAV_SEVERITY."""
 _DRAIN_1_S = 0.0164
 """Recorded: SIH drains its battery so fast in flight."""
 
@@ -261,11 +260,7 @@ class Px4:
                 self._flown = True
                 self._say(INFO, "Takeoff detected")
         self.vehicle.step()
-        if (
-            self.mode is Mode.TAKEOFF
-            and self.armed
-            and self.autopilot.take_off_remaining_m < TAKEOFF_ACCEPTANCE_M
-        ):
+        if self.mode is Mode.TAKEOFF and self.armed and self.autopilot.take_off_done:
             self.intended = Mode.LOITER
             self._after_disarm = Mode.LOITER
             self._choose_mode()
@@ -295,14 +290,14 @@ class Px4:
         self._say(CRITICAL, "Critical battery level, land now")
         action = {2: Mode.LAND, 3: Mode.RTL}.get(int(self.params["COM_LOW_BAT_ACT"]))
         if self.armed and action is not None:
-            self._forced = action if self.can_run(action) else Mode.DESCEND
+            self._forced = action
 
     def _choose_mode(self) -> None:
         """The mode in effect: the intended one, or what a failsafe makes of it while that cannot run."""
         if not self.armed:
             mode, failsafe = self.intended, False
         elif self._forced is not None:
-            mode, failsafe = self._forced, True
+            mode, failsafe = self._forced if self.can_run(self._forced) else Mode.DESCEND, True
         elif self.can_run(self.intended):
             mode, failsafe = self.intended, False
         elif self.intended is Mode.OFFBOARD and self.params["COM_OBL_RC_ACT"] in (6, 7):
@@ -356,6 +351,7 @@ class Px4:
         self.failsafe = False
         self._forced = None
         self._contact_step = None
+        self.autopilot.enter(self.mode)
         self._say(INFO, words)
 
     def say_critical(self, text: str) -> None:

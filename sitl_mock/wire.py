@@ -97,12 +97,14 @@ class Udp:
         """The descriptor to wait on."""
         return self._socket.fileno()
 
-    def send(self, message: Message) -> None:
-        """Send one message; nothing before a peer is known."""
+    def send(self, message: Message, lost: bool = False) -> None:
+        """Send one message; nothing before a peer is known. A lost one leaves its gap in the sequence."""
         if self._peer is None:
             return
         data = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256  # pack() leaves it alone
+        if lost:
+            return
         try:
             self._socket.sendto(data, self._peer)
         except OSError:  # nobody there, buffer full, no route: UDP loses packets
@@ -251,8 +253,8 @@ class Wire:
     def _step(self) -> None:
         self._steps += 1
         for link, message in self._protocol.step():
-            if link in self.links and not self._lost(link):
-                self.links[link].send(message)
+            if link in self.links:
+                self.links[link].send(message, self._lost(link))
         v = self.vehicle
         for beacon, clock in self._beacons:
             for _ in range(clock.due(self._steps)):

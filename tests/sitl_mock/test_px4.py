@@ -184,6 +184,14 @@ def test_critical_battery(action: int, mode: Mode) -> None:
         assert run(px4, 0.5, FORWARD) == [Mode.LOITER]
 
 
+def test_landing_forced_by_the_battery_goes_on_without_a_velocity() -> None:
+    px4 = in_offboard(COM_LOW_BAT_ACT=2)
+    px4.faults.switch(Fault.BATTERY_LOW, True)
+    run(px4, 0.5, FORWARD)
+    px4.faults.switch(Fault.VELOCITY_INVALID, True)
+    assert run(px4, 0.5, FORWARD) == [Mode.LAND, Mode.DESCEND]
+
+
 def test_return_flies_home_and_lands_there() -> None:
     px4 = in_offboard(RTL_RETURN_ALT=5.0, MPC_LAND_SPEED=1.5)
     run(px4, 12.0, FORWARD)
@@ -229,6 +237,17 @@ def test_take_off_height_is_a_parameter_or_told() -> None:
         assert modes == [Mode.TAKEOFF, Mode.LOITER]
         assert px4.vehicle.height_m == pytest.approx(expected, abs=0.05)
         assert px4.landed_state is Landed.IN_AIR
+
+
+def test_hold_during_a_take_off_holds_there() -> None:
+    px4 = on_ground(MIS_TAKEOFF_ALT=8.0)
+    px4.take_off(None)
+    px4.arm()
+    while px4.vehicle.height_m < 3.0:
+        px4.step()
+    assert px4.set_mode(Mode.LOITER) is Result.ACCEPTED
+    run(px4, 10.0)
+    assert px4.vehicle.height_m < 4.0
 
 
 def test_landing_disarms_and_the_next_flight_can_begin() -> None:

@@ -203,6 +203,14 @@ def test_faults_from_the_command_line() -> None:
     assert [t for t in told if t < 1000]
 
 
+def test_packet_loss_leaves_gaps() -> None:
+    """Three in ten are lost, as their sequence numbers tell."""
+    with peer_and_mock("--fault", "packet-loss@0") as (peer, _, _):
+        peer.until(lambda _: len(peer.seen) > 700)
+    sent = sum((b.get_seq() - a.get_seq()) % 256 for a, b in pairwise(peer.seen))
+    assert len(peer.seen) / sent == pytest.approx(0.7, abs=0.07)
+
+
 def test_stall_is_caught_up_by_half_a_second_at_most() -> None:
     """Stopped for 1.5 s and continued: the mock's clock jumps no further than half a second's catching up."""
     with peer_and_mock() as (peer, process, _):
