@@ -12,6 +12,7 @@ import os
 import platform
 import threading
 import time
+import zlib
 from collections import deque
 from contextlib import closing, suppress
 from importlib import metadata
@@ -27,6 +28,8 @@ from companion.types import AnyEvent, AnyOutput, Event, Output, Severity
 
 METADATA = "companion.flight"
 """Name of the MCAP metadata record that makes a file a flight of ours."""
+END = "companion.end"
+"""Name of the metadata record of a flight that was closed: how many events and outputs there were."""
 FORMAT = 1
 """Counts up when an older reader could not read the file."""
 FLUSH_S = 0.75
@@ -76,8 +79,8 @@ class Start(msgspec.Struct, frozen=True):
         return max(0, t_ns - self.monotonic_ns + self.unix_ns)
 
     def as_metadata(self) -> dict[str, str]:
-        """As MCAP keeps it: text only."""
-        return {
+        """As MCAP keeps it: text only, and unlike the rest of the file without a checksum of its own."""
+        fields = {
             "format": str(FORMAT),
             "kind": self.kind,
             "unix_ns": str(self.unix_ns),
@@ -87,10 +90,13 @@ class Start(msgspec.Struct, frozen=True):
             "config": self.config,
             "config_sources": msgspec.json.encode(self.sources).decode(),
         }
+        return {**fields, "checksum": _checksum(fields)}
 
     @classmethod
     def from_metadata(cls, m: dict[str, str]) -> Start:
         """The reverse of `as_metadata`. Raises KeyError, ValueError."""
+        if m["checksum"] != _checksum({key: value for key, value in m.items() if key != "checksum"}):
+            raise ValueError("checksum of the configuration")
         return cls(
             unix_ns=int(m["unix_ns"]),
             monotonic_ns=int(m["monotonic_ns"]),
@@ -100,6 +106,10 @@ class Start(msgspec.Struct, frozen=True):
             versions=msgspec.json.decode(m["versions"], type=dict[str, str]),
             kind=m["kind"],
         )
+
+
+def _checksum(fields: dict[str, str]) -> str:
+    return f"{zlib.crc32(msgspec.json.encode(fields, order='sorted')):08x}"
 
 
 def start_now(config: msgspec.Struct, digest: str, sources: dict[str, str], kind: str = "flight") -> Start:
@@ -146,7 +156,8 @@ class FlightWriter:
 
     def __init__(self, stream: io.BytesIO | io.BufferedWriter, start: Start) -> None:
         self._start = start
-        self._number = 0
+        self.number = 0
+        """The next event's or output's, where none is missing."""
         self._views = Views(start.unix_of)
         self._encoder = msgspec.json.Encoder()
         self._mcap = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -165,14 +176,14 @@ class FlightWriter:
 
     def write(self, item: Event | Output) -> None:
         """Append the next event or output."""
-        self.add(self._number, item)
-        self._number += 1
+        self.add(self.number, item)
 
     def add(self, number: int, item: Event | Output) -> None:
         """Append an event or output with its number.
 
         Raises ValueError (a lone surrogate) or OverflowError (beyond 64 bits) where JSON cannot hold it.
         """
+        self.number = number + 1
         data = self._encoder.encode(item)
         unix_ns = self._start.unix_of(item.t_ns)
         self._mcap.add_message(self._channels[type(item)], unix_ns, data, unix_ns, number)
@@ -193,8 +204,10 @@ class FlightWriter:
         """Close the chunk in progress, so that everything so far can be read."""
         self._mcap.flush()  # type: ignore[no-untyped-call]
 
-    def finish(self) -> None:
-        """Write the summary with which viewers find their way. Nothing may follow."""
+    def finish(self, count: int | None = None) -> None:
+        """End the flight, which had `count` events and outputs, and write the summary for viewers."""
+        self.flush()
+        self._mcap.add_metadata(END, {"records": str(self.number if count is None else count)})
         self._mcap.finish()  # type: ignore[no-untyped-call]
 
 
@@ -246,7 +259,7 @@ class Recorder:
         self._dropped_events = self._dropped_outputs = self._spoilt = self._missing = 0
         self._next_event: _Numbered | None = None
         self._next_output: _Numbered | None = None
-        self._due = self._encoded = self._saved = 0
+        self._encoded = self._saved = 0
         self._rest = b""
         self._t_alive = time.monotonic()
         self._stop = threading.Event()
@@ -258,7 +271,8 @@ class Recorder:
     def open(cls, path: Path, start: Start) -> Recorder:
         """Record into a new file. Never raises: where that cannot be, `problem` says why."""
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            if not path.parent.exists():
+                path.parent.mkdir(parents=True)
             return cls(path.open("xb", buffering=0), start, str(path))
         except OSError as error:
             return cls(None, start, str(path), _reason(error))
@@ -347,7 +361,7 @@ class Recorder:
         if self._put(disk, pending):
             while self._encode(writer):
                 pass
-        writer.finish()
+        writer.finish(self._count)
         self._put(disk, pending)
 
     def _encode(self, writer: FlightWriter) -> bool:
@@ -358,9 +372,8 @@ class Recorder:
             if numbered is None:
                 return done > 0
             number, item = numbered
-            if number > self._due:
-                writer.say_lost(item.t_ns, number - self._due)
-            self._due = number + 1
+            if number > writer.number:
+                writer.say_lost(item.t_ns, number - writer.number)
             try:
                 writer.add(number, item)
                 self._encoded += 1

@@ -19,7 +19,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
-from companion.record import FORMAT, METADATA, RECORDED, Start
+from companion.record import END, FORMAT, METADATA, RECORDED, Start
 from companion.settings import Settings
 from companion.types import Event, Output
 
@@ -92,27 +92,29 @@ def read(path: Path) -> Recording:
         raise RecordError(f"{path}: the file is empty")
     if not data.startswith(MCAP0_MAGIC):
         raise RecordError(f"{path}: not an MCAP file")
-    reader = _Reader()
+    reader = _Reader(str(path))
     for at, opcode, content in reader.envelopes(data):
         reader.take(at, opcode, content)
     if reader.start is None:
-        topics = ", ".join(sorted(reader.topics)[:4]) or "none that can be read"
-        problem = f" ({reader.problems[0]})" if reader.problems else ""
-        raise RecordError(f"{path}: an MCAP file, but not a flight of this app; topics: {topics}{problem}")
-    return reader.recording(str(path), reader.start)
+        if reader.problems:
+            raise RecordError(f"{path}: no flight can be read: {reader.problems[0]}")
+        topics = ", ".join(sorted(reader.topics)[:4]) or "none"
+        raise RecordError(f"{path}: an MCAP file, but not a flight of this app; topics: {topics}")
+    return reader.recording(reader.start)
 
 
 class _Reader:
     """Collects what is sound."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self._name = name
         self.start: Start | None = None
         self.topics: set[str] = set()
         self.problems: list[str] = []
         self._finished = False
+        self._count: int | None = None
         self._decoders: dict[int, tuple[str, msgspec.json.Decoder[Event | Output]]] = {}
-        self._unreadable: Counter[str] = Counter()
-        self._items: list[tuple[int, Event | Output]] = []
+        self._messages: list[Message] = []
 
     def envelopes(self, data: bytes) -> Iterator[tuple[int, int, bytes]]:
         """Offset, opcode and content of every whole record."""
@@ -136,9 +138,7 @@ class _Reader:
                 self._metadata(Metadata.read(stream))
             elif opcode == Opcode.CHUNK:
                 self._chunk(Chunk.read(stream))
-            elif (
-                opcode == Opcode.CHANNEL and not self._decoders
-            ):  # the summary's, if the first chunk is damaged
+            elif opcode == Opcode.CHANNEL:  # the summary's, in case that the first chunk is damaged
                 self._channel(Channel.read(stream))
         except KeyError as error:
             self.problems.append(f"damaged at byte {at}: {error} is missing")
@@ -146,12 +146,13 @@ class _Reader:
             self.problems.append(f"damaged at byte {at}: {error or type(error).__name__}")
 
     def _metadata(self, m: Metadata) -> None:
-        if m.name != METADATA:
-            return
-        written = int(m.metadata["format"])
-        if written > FORMAT:
-            raise RecordError(f"a flight in format {written}; this version reads {FORMAT}")
-        self.start = Start.from_metadata(m.metadata)
+        if m.name == METADATA:
+            written = int(m.metadata["format"])
+            if written > FORMAT:
+                raise RecordError(f"{self._name}: a flight in format {written}; this version reads {FORMAT}")
+            self.start = Start.from_metadata(m.metadata)
+        elif m.name == END:
+            self._count = int(m.metadata["records"])
 
     def _chunk(self, chunk: Chunk) -> None:
         if chunk.uncompressed_size > _CHUNK_LIMIT:
@@ -160,7 +161,7 @@ class _Reader:
             if isinstance(record, Channel):
                 self._channel(record)
             elif isinstance(record, Message):
-                self._message(record)
+                self._messages.append(record)
 
     def _channel(self, channel: Channel) -> None:
         self.topics.add(channel.topic)
@@ -168,28 +169,28 @@ class _Reader:
         if kind is not None:
             self._decoders[channel.id] = channel.topic, msgspec.json.Decoder(kind)
 
-    def _message(self, message: Message) -> None:
-        topic, decoder = self._decoders.get(message.channel_id, ("", None))
-        if decoder is None:
-            return  # derived for viewers
-        try:
-            self._items.append((message.sequence, decoder.decode(message.data)))
-        except msgspec.DecodeError as error:
-            self._unreadable[f"{topic}: {error}"] += 1
-
-    def recording(self, name: str, start: Start) -> Recording:
+    def recording(self, start: Start) -> Recording:
         """What was read, with each output at its event."""
-        items = self._items
-        problems = [*self.problems, *(f"{n} × unreadable {what}" for what, n in self._unreadable.items())]
+        items: list[tuple[int, Event | Output]] = []
+        unreadable: Counter[str] = Counter()
+        for message in self._messages:
+            topic, decoder = self._decoders.get(message.channel_id, ("", None))
+            if decoder is None:
+                continue  # derived for viewers
+            try:
+                items.append((message.sequence, decoder.decode(message.data)))
+            except msgspec.DecodeError as error:
+                unreadable[f"{topic}: {error}"] += 1
+        problems = [*self.problems, *(f"{n} × unreadable {what}" for what, n in unreadable.items())]
         events = [i for i, (_, item) in enumerate(items) if isinstance(item, Event)]
         steps = [_step(items[a:b], items[b][0]) for a, b in pairwise(events)]
         if events:
-            steps.append(_step(items[events[-1] :], None))
-        lost = items[-1][0] + 1 - len(items) if items else 0
+            steps.append(_step(items[events[-1] :], self._count))
+        lost = max(self._count or 0, items[-1][0] + 1 if items else 0) - len(items)
         if lost:
             problems.append(f"{lost} records are missing")
         return Recording(
-            name=name,
+            name=self._name,
             start=start,
             steps=tuple(steps),
             finished=self._finished,

@@ -109,12 +109,12 @@ class ReplayResult(msgspec.Struct, frozen=True):
 def replay(recording: Recording, settings: Settings | None = None) -> ReplayResult:
     """Fly it again, with the recorded settings or others. Raises RecordError, see `Recording.settings`."""
     flown = recording.settings
-    here = versions()
-    comparison = _Comparison(recording, settings is not None and settings != flown)
-    run(comparison.events(), flown if settings is None else settings, comparison.send, _unrecorded)
+    flying = flown if settings is None else _only_settings(settings)
+    comparison = _Comparison(recording, flying != flown)
+    run(comparison.events(), flying, comparison.send, _unrecorded)
     comparison.end()
-    then = recording.start.versions
-    was, now = _leaves(flown), _leaves(flown if settings is None else settings)
+    then, here = recording.start.versions, versions()
+    was, now = _leaves(flown), _leaves(flying)
     return ReplayResult(
         name=recording.name,
         recorded_at=datetime.fromtimestamp(recording.start.unix_ns * 1e-9, UTC).isoformat(" ", "seconds"),
@@ -140,6 +140,11 @@ def replay(recording: Recording, settings: Settings | None = None) -> ReplayResu
         phases=_side_by_side(comparison.phases[0], comparison.phases[1]),
         setpoints=_rows(comparison.moments),
     )
+
+
+def _only_settings(settings: Settings) -> Settings:
+    """Without what a configuration may hold besides: the simulated world is none of the pilot's business."""
+    return Settings(**{name: getattr(settings, name) for name in Settings.__struct_fields__})
 
 
 def _unrecorded(_: object) -> None:
@@ -204,10 +209,12 @@ class _Comparison:
         places = len(step.outputs) + step.lost
         if step.lost and len(replayed) < places and not self._changed:
             self.stopped = f"from {self._recording.t_s(step.event.t_ns):.3f} s on the record lacks events"
-        self.compared += len(step.outputs)
+        placed = list(zip(step.slots, step.outputs, strict=True))
+        if step.lost:  # what lies beyond this event's own outputs is a lost event's
+            placed = [(slot, was) for slot, was in placed if slot < len(replayed)]
+        self.compared += len(placed)
         same = all(
-            slot < len(replayed) and self._encode(was) == self._encode(replayed[slot])
-            for slot, was in zip(step.slots, step.outputs, strict=True)
+            slot < len(replayed) and self._encode(was) == self._encode(replayed[slot]) for slot, was in placed
         )
         if not same or (len(replayed) > places and not is_last):
             self._differ(step, replayed)
