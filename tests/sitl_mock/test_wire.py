@@ -92,7 +92,7 @@ def test_mavlink_2_with_an_unbroken_sequence() -> None:
     with peer_and_mock() as (peer, _, _):
         first = peer.named("HEARTBEAT")
         assert (first.get_srcSystem(), first.get_srcComponent()) == (1, 1)
-        peer.until(lambda _: len(peer.seen) > 600)
+        peer.until(lambda _: len(peer.seen) > 200)  # fewer than a socket's buffer holds
         assert {m.get_msgbuf()[0] for m in peer.seen} == {mavlink.PROTOCOL_MARKER_V2}
         sequence = [m.get_seq() for m in peer.seen]
         assert all((b - a) % 256 == 1 for a, b in pairwise(sequence))
@@ -206,9 +206,9 @@ def test_faults_from_the_command_line() -> None:
 def test_packet_loss_leaves_gaps() -> None:
     """Three in ten are lost, as their sequence numbers tell."""
     with peer_and_mock("--fault", "packet-loss@0") as (peer, _, _):
-        peer.until(lambda _: len(peer.seen) > 700)
+        peer.until(lambda _: len(peer.seen) > 200)
     sent = sum((b.get_seq() - a.get_seq()) % 256 for a, b in pairwise(peer.seen))
-    assert len(peer.seen) / sent == pytest.approx(0.7, abs=0.07)
+    assert len(peer.seen) / sent == pytest.approx(0.7, abs=0.1)
 
 
 def test_stall_is_caught_up_by_half_a_second_at_most() -> None:
