@@ -1,7 +1,7 @@
 """Shows what has changed against the reference flights, and records those anew.
 
-Run `python -m tests.record.accept` when the pilot is meant to behave otherwise, read what it prints, and commit
-the files with the change.
+Run `python -m tests.record.accept` when the pilot is meant to behave otherwise, read what it prints, and
+commit the files with the change.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from sitl_mock.world import World
 
 Item = Event | Output
 
-NEAR = Scenario(start_x_m=1.0, start_y_m=3.0, limit_s=20.0)
+NEAR = Scenario(start_x_m=1.0, start_y_m=3.0, limit_s=40.0)
 """Three metres from the beacon: over soon."""
 EPOCH_NS = 1_750_000_000_000_000_000
 """A fixed date, so that the same flight gives the same file."""
