@@ -23,7 +23,7 @@ import zenoh
 
 from companion import wire_range
 from companion.exits import Exit
-from companion.link.zenoh_publish import Ear, Heard, PublishLink, alive_key, info_key
+from companion.link.zenoh_publish import Ear, Heard, PublishLink, alive_key, info_key, words
 from companion.settings import Name, RangesSettings
 from companion.uwb import Family, open_parser
 from companion.uwb import info as beacon_info
@@ -250,7 +250,7 @@ def publish(publication: Publication, say: _Say, stop: Event | None = None) -> E
                     look_at = now + _LOOK_S
                     if (count := link.connected()) != connected:
                         connected = count
-                        say(_connection(count))
+                        say(_connection(count, link.reason))
                 if now >= report_at:
                     report_at = now + _REPORT_S
                     say(sender.tally.text(parser))
@@ -259,8 +259,11 @@ def publish(publication: Publication, say: _Say, stop: Event | None = None) -> E
     except SourceError as error:
         print(f"companion: {error}", file=sys.stderr)
         return Exit.USAGE
-    except (OSError, zenoh.ZError) as error:
-        print(f"companion: {str(error).splitlines()[0]}", file=sys.stderr)
+    except OSError as error:  # a port or a file
+        print(f"companion: {error}", file=sys.stderr)
+        return Exit.LINK
+    except zenoh.ZError as error:
+        print(f"companion: {words(error)}", file=sys.stderr)
         return Exit.LINK
 
 
@@ -283,9 +286,11 @@ def _timed(m: Measured) -> Measured:
     return m if m.time_s is not None else msgspec.structs.replace(m, time_s=time.monotonic())
 
 
-def _connection(count: int) -> str:
+def _connection(count: int, reason: str) -> str:
     if count == 0:
-        return "connected to nobody: ranges go nowhere until a router or a vehicle is there"
+        return (
+            f"connected to nobody: ranges go nowhere until a router or a vehicle is there. {reason}".strip()
+        )
     return f"connected to {count} router or peer" + ("s" if count > 1 else "")
 
 
@@ -317,29 +322,38 @@ def check(
     connect: tuple[str, ...] = (),
     listen: tuple[str, ...] = (),
     strict: bool = False,
+    patience_s: float = 10.0,
 ) -> CheckReport:
     """Listen to `key` (wildcards allowed) and say what is wrong with what comes; `strict`: advice counts too.
 
+    `seconds` counts from when somebody is connected, who is waited for no longer than `patience_s`.
     Where nothing comes on it, everything on the network is listened to for two seconds, to name other keys.
+    Raises ValueError where `key` is no key expression, or no endpoint is named.
     """
+    try:
+        zenoh.KeyExpr(key)
+    except zenoh.ZError as error:
+        raise ValueError(f"{key!r} is no Zenoh key, such as uwb/v1/lab/b1/*/range: {words(error)}") from error
+    if not connect and not listen:
+        raise ValueError("nowhere to listen: name an endpoint to connect to or to listen on")
     try:
         ear = Ear(RangesSettings(connect=connect, listen=listen), key)
     except zenoh.ZError as error:
-        say(f"wrong: {str(error).splitlines()[0][:200]}")
+        say(f"wrong: not connected: {words(error)}")
         return CheckReport(Verdict.NOT_CONNECTED, [], {})
     try:
+        deadline = time.monotonic() + patience_s
+        while not ear.connected():
+            if time.monotonic() > deadline:
+                say("wrong: connected to nobody: no router or publisher answers at these endpoints")
+                return CheckReport(Verdict.NOT_CONNECTED, [], {})
+            time.sleep(0.05)
         return _check(ear, key, say, seconds, strict)
     finally:
         ear.close()
 
 
 def _check(ear: Ear, key: str, say: _Say, seconds: float, strict: bool) -> CheckReport:
-    deadline = time.monotonic() + max(seconds, 5.0)
-    while not ear.connected() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    if not ear.connected():
-        say("wrong: connected to nobody: no router or publisher answers at these endpoints")
-        return CheckReport(Verdict.NOT_CONNECTED, [], {})
     time.sleep(seconds)
     by_key: dict[str, list[Heard]] = {}
     for heard in ear.drain():

@@ -3,10 +3,15 @@
 Quality of service, and why:
 
 - congestion control DROP: a range is worth nothing when it is late, and a blocking put stops the module's
-  reader for seconds on a link that stalls. The loss shows as a gap in `seq`.
-- express: not held back to be batched with others. Ranges are small and each is awaited.
-- priority REAL_TIME: in front of whatever else the link carries (pictures, logs).
-- reliability is left as it is: between two hosts it is the transport's (TCP, TLS, QUIC) anyway.
+  reader for seconds on a link that stalls (1.2 s measured). The loss shows as a gap in `seq`.
+- priority REAL_TIME: in front of whatever else the session sends. With 100 kB blobs filling a link of
+  10 Mbit/s, 591 of 591 ranges arrived, against 139 of 575 with the default priority.
+- not express: on an idle link it gains nothing (0.3 to 0.4 ms at the median either way), and on the full one
+  497 of 589 arrived, since each express message takes a place of its own in the queue.
+- reliability is left as it is: over TCP, TLS and QUIC it is the transport's.
+
+What delays ranges on a full link is the kernel's send buffer, behind all priorities: 3 s as the system sizes
+it, 0.07 s with `#so_sndbuf=32768` after the endpoint (as in the figures above).
 """
 
 from __future__ import annotations
@@ -14,6 +19,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from threading import Event, Thread
 from typing import NamedTuple
 
 import zenoh
@@ -24,6 +30,7 @@ from companion.settings import RangesSettings
 from companion.wire_range import RangeMessage
 
 _ANSWER_S = 2.0
+_RETRY_S = 0.1
 
 
 def info_key(site: str, beacon: str) -> str:
@@ -36,50 +43,118 @@ def alive_key(site: str, beacon: str) -> str:
     return f"{wire_range.KEY_VERSION}/{site}/{beacon}/alive"
 
 
+def session_config(settings: RangesSettings) -> zenoh.Config:
+    """As for the ranges' reader, but a client where nothing is listened on.
+
+    A router hands nothing from one peer to another (Zenoh 1.10: they are to connect to each other), but
+    everything from and to clients. A client takes the first endpoint that answers, and does not open before.
+    """
+    config = zenoh_config(settings)
+    if not settings.listen:
+        config.insert_json5("mode", '"client"')
+        config.insert_json5("connect/timeout_ms", "0")
+    return config
+
+
+def words(error: zenoh.ZError) -> str:
+    """What Zenoh says, without the place in its own source."""
+    return str(error).splitlines()[0].partition(" at /")[0][:200]
+
+
 class PublishLink:
-    """The publishing end: a session, and what was declared on it."""
+    """The publishing end: a session, and what was declared on it.
+
+    Where it only connects, the session is opened beside it, again and again until a router or a vehicle is
+    there, so that a module can be read meanwhile.
+    """
 
     def __init__(self, settings: RangesSettings, encoding: str = wire_range.JSON) -> None:
-        """Open the session. Raises zenoh.ZError where an endpoint is malformed or cannot be listened on."""
-        self._session: zenoh.Session = zenoh.open(zenoh_config(settings))
+        """Raises zenoh.ZError where an endpoint is malformed or cannot be listened on."""
+        self.reason = ""
+        """Why there is no session yet."""
         self._site = settings.site
         self._encoding = encoding
+        self._config = session_config(settings)
+        self._infos: dict[str, bytes] = {}
         self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
-        self._announced: dict[str, tuple[zenoh.Queryable[None], zenoh.LivelinessToken]] = {}
+        self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
+        self._session: zenoh.Session | None = None
+        self._opened: list[zenoh.Session] = []
+        self._closing = Event()
+        self._opener = Thread(target=self._open, daemon=True)
+        if settings.listen:
+            self._session = zenoh.open(self._config)
+        else:
+            self._opener.start()
+
+    def _open(self) -> None:
+        """In a thread of its own: an address where nothing is may take seconds to fail."""
+        while not self._closing.wait(_RETRY_S):
+            try:
+                self._opened.append(zenoh.open(self._config))
+                return
+            except zenoh.ZError as error:
+                self.reason = words(error)
+
+    def _ready(self) -> zenoh.Session | None:
+        """The session, once it is there; then everything is declared that was announced before."""
+        if self._session is None and self._opened:
+            self._session = self._opened[0]
+            for beacon, info in self._infos.items():
+                self._declare(self._session, beacon, info)
+        return self._session
 
     def announce(self, beacon: str, info: bytes) -> None:
         """Declare that a beacon is there and answer for it; `info` is JSON. Once for each beacon."""
+        session = self._ready()
+        self._infos[beacon] = info
+        if session is not None:
+            self._declare(session, beacon, info)
+
+    def _declare(self, session: zenoh.Session, beacon: str, info: bytes) -> None:
         key = info_key(self._site, beacon)
 
         def answer(query: zenoh.Query) -> None:
             query.reply(key, info, encoding=wire_range.JSON)
 
         # In a thread of its own (indirect), since a reply is a call into Zenoh.
-        queryable = self._session.declare_queryable(key, zenoh.handlers.Callback(answer), complete=True)
-        token = self._session.liveliness().declare_token(alive_key(self._site, beacon))
-        self._announced[beacon] = (queryable, token)
+        queryable = session.declare_queryable(key, zenoh.handlers.Callback(answer), complete=True)
+        token = session.liveliness().declare_token(alive_key(self._site, beacon))
+        self._declared += [queryable, token]
 
     def put(self, beacon: str, tag: str, message: RangeMessage) -> None:
         """Publish one range. Never blocks; where nobody is connected it is lost."""
+        session = self._ready()
+        if session is None:
+            return
         publisher = self._publishers.get((beacon, tag))
         if publisher is None:
-            publisher = self._publishers[beacon, tag] = self._session.declare_publisher(
+            publisher = self._publishers[beacon, tag] = session.declare_publisher(
                 wire_range.range_key(self._site, beacon, tag),
                 encoding=self._encoding,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
-                express=True,
+                express=False,
             )
         publisher.put(wire_range.encode(message, self._encoding))
 
     def connected(self) -> int:
         """How many routers and peers there are. None at all is silent in Zenoh, and worth telling."""
-        info = self._session.info
-        return len(info.routers_zid()) + len(info.peers_zid())
+        session = self._ready()
+        return _neighbours(session) if session is not None else 0
 
     def close(self) -> None:
         """Leave the network: the beacons' tokens go with it."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._closing.set()
+        if self._opener.is_alive():
+            self._opener.join(1.0)
+        self._ready()
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _neighbours(session: zenoh.Session) -> int:
+    return len(session.info.routers_zid()) + len(session.info.peers_zid())
 
 
 class Heard(NamedTuple):
@@ -96,7 +171,6 @@ class Heard(NamedTuple):
     is_put: bool
     blocks: bool
     """Congestion control BLOCK."""
-    express: bool
     priority: str
 
 
@@ -114,8 +188,11 @@ class Ear:
     """Samples kept until `drain`; more are counted in `lost` and not kept."""
 
     def __init__(self, settings: RangesSettings, key: str) -> None:
-        """Open and subscribe. Raises zenoh.ZError: an endpoint, or `key` is no key expression."""
-        self._session: zenoh.Session = zenoh.open(zenoh_config(settings))
+        """Open and subscribe. Raises zenoh.ZError: nobody answers, or `key` is no key expression."""
+        config = session_config(settings)
+        if not settings.listen:
+            config.insert_json5("connect/timeout_ms", "3000")
+        self._session: zenoh.Session = zenoh.open(config)
         self._heard: deque[Heard] = deque()
         self.lost = 0
         try:
@@ -144,7 +221,6 @@ class Ear:
                 encoding=str(sample.encoding),
                 is_put=sample.kind == zenoh.SampleKind.PUT,
                 blocks=sample.congestion_control == zenoh.CongestionControl.BLOCK,
-                express=sample.express,
                 priority=str(sample.priority).rpartition(".")[2],
             )
         )
@@ -155,8 +231,7 @@ class Ear:
 
     def connected(self) -> int:
         """How many routers and peers there are."""
-        info = self._session.info
-        return len(info.routers_zid()) + len(info.peers_zid())
+        return _neighbours(self._session)
 
     def ask(self, key: str) -> Answer | None:
         """The first answer to a query; None where nobody answers."""

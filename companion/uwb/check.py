@@ -335,9 +335,7 @@ def _of_service(heard: Sequence[Heard]) -> list[Finding]:
                 "congestion control is BLOCK: a stalled link stops the publisher, then delivers old ranges"
             )
         )
-    if not all(h.express for h in heard):
-        found.append(_advice("not express: ranges may wait to be sent together with others"))
-    low = {h.priority for h in heard} & {"DATA_LOW", "BACKGROUND"}
+    low = sorted({h.priority for h in heard} & {"DATA", "DATA_LOW", "BACKGROUND"})
     if low:
-        found.append(_advice(f"priority {low.pop()}: everything else on the link goes first"))
+        found.append(_advice(f"priority {low[0]}: on a full link ranges are lost that REAL_TIME would save"))
     return found

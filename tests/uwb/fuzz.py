@@ -16,9 +16,9 @@ from collections import Counter
 from collections.abc import Iterator
 from random import Random
 
-from companion.uwb import Family, open_parser
+from companion.uwb import Family, open_parser, ros2
 from companion.uwb.measured import OK, LosRule, Measured, Parser
-from tests.uwb.samples import SAMPLES
+from tests.uwb.samples import ATTACHMENT, JAZZY, SAMPLES
 
 _RULES = {Family.FIRA_UCI: LosRule.ZERO_IS_LOS, Family.LINKTRACK: LosRule.POWER}
 _RECOVERY_EVERY = 1_000
@@ -27,7 +27,12 @@ _RECOVERY_EVERY = 1_000
 def damaged(random: Random, family: Family) -> bytes:
     """One input."""
     own = [s.data for s in SAMPLES if s.family is family]
-    data = bytearray(b"".join(random.choice(own) for _ in range(random.randint(1, 3))))
+    return damage(random, b"".join(random.choice(own) for _ in range(random.randint(1, 3))))
+
+
+def damage(random: Random, whole: bytes) -> bytes:
+    """The same bytes with up to 30 faults."""
+    data = bytearray(whole)
     for _ in range(random.choice((0, 1, 1, 2, 3, 8, 30))):
         at = random.randrange(len(data) + 1)
         kind = random.randrange(6)
@@ -80,6 +85,18 @@ def _fresh(family: Family) -> Parser:
     return open_parser(family, _RULES.get(family, LosRule.UNKNOWN))
 
 
+def ros2_range(random: Random) -> str:
+    """A damaged ROS 2 message. Raises AssertionError, or anything but ValueError."""
+    payload = damage(random, random.choice((JAZZY, JAZZY[:40])))
+    attachment = damage(random, ATTACHMENT) if random.random() < 0.5 else None
+    try:
+        message = ros2.to_message(payload, attachment)
+    except ValueError:
+        return "refused"
+    assert 0.0 < message.range_m <= 10_000.0
+    return "read"
+
+
 def run(inputs: int, seed: int) -> Counter[str]:
     """Feed this many inputs; what came out of them. Raises whatever a parser raises."""
     random = Random(seed)
@@ -100,6 +117,7 @@ def run(inputs: int, seed: int) -> Counter[str]:
             )
         figures[f"{family.value}: inputs"] += 1
         figures["bytes"] += len(data)
+        figures[f"ros2: {ros2_range(random)}"] += 1
         if number % _RECOVERY_EVERY == 0:
             for each in families:
                 recovers(parsers[each], each)

@@ -25,10 +25,10 @@ class _Admin(msgspec.Struct):
 class Router:
     """A Zenoh session in router mode. `endpoint` is where it listens."""
 
-    def __init__(self) -> None:
+    def __init__(self, endpoint: str = "tcp/127.0.0.1:0") -> None:
         config = {
             "mode": "router",
-            "listen": {"endpoints": ["tcp/127.0.0.1:0"]},
+            "listen": {"endpoints": [endpoint]},
             "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
             "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
         }
@@ -39,8 +39,8 @@ class Router:
 
 
 @contextmanager
-def router() -> Iterator[Router]:
-    r = Router()
+def router(endpoint: str = "tcp/127.0.0.1:0") -> Iterator[Router]:
+    r = Router(endpoint)
     try:
         yield r
     finally:

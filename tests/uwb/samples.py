@@ -74,6 +74,12 @@ def linktrack_aoa() -> bytes:
     return with_sum(fixed + octets("02 02 b80b00 d204 a0 9e 0000"))
 
 
+JAZZY = octets(
+    "00010000 00f15365 80b2e60e 07000000 7577625f613100 01 0000003f 0000803e 0000c842 00004841 0ad7233c"
+)
+"""A sensor_msgs/Range: 12.5 m, variance 0.01 m², frame uwb_a1."""
+ATTACHMENT = octets("0100000000000000 15cd853dfe9c9717 10 000102030405060708090a0b0c0d0e0f")
+"""Of rmw_zenoh: sequence 1."""
 LEC4 = (
     b"DIST,4,AN0,1151,5.00,8.00,2.25,6.44,AN1,0CA8,0.00,8.00,2.25,6.50,"
     b"AN2,111C,5.00,0.00,2.25,3.24,AN3,1150,0.00,0.00,2.25,3.19,POS,2.55,2.01,1.71,98\r\n"

@@ -17,7 +17,9 @@ import pytest
 import zenoh
 
 from companion.exits import Exit
+from companion.link.zenoh_ranges import RangeLink
 from companion.publish import MOST_PAIRS, Publication, Sender
+from companion.settings import RangesSettings
 from companion.types import LineOfSight
 from companion.uwb import Family, open_parser, sources
 from companion.uwb.info import BeaconInfo, decode, decode_many, encode, schema
@@ -316,7 +318,7 @@ def test_from_a_serial_port_to_a_subscriber(network: Router, tmp_path: Path) -> 
         assert (b1[0].sigma_m, b4[0].sigma_m) == (0.05, None)
         first = subscriber.samples[0]
         assert str(first.encoding) == JSON
-        assert first.express and first.priority == zenoh.Priority.REAL_TIME
+        assert first.priority == zenoh.Priority.REAL_TIME
         assert first.congestion_control == zenoh.CongestionControl.DROP
         (reply,) = network.session.get("uwb/v1/lab/b1/info")
         assert reply.ok is not None
@@ -481,6 +483,45 @@ def test_an_endpoint_that_is_none() -> None:
     with publishing(Publication(Simulated(), connect=("nonsense",))) as running:
         until(lambda: bool(running.ended), "its end")
     assert running.ended == [Exit.LINK]
+
+
+def test_a_router_that_comes_late_and_goes_and_comes_again() -> None:
+    with router() as once:
+        endpoint = once.endpoint
+    publication = Publication(Simulated(rate_hz=50.0), connect=(endpoint,))
+    with publishing(publication) as running:
+        until(lambda: any("nobody" in line for line in running.said), "that it is alone")
+        for _ in range(2):
+            with router(endpoint) as network:
+                subscriber = Subscriber(network.session)
+                until(lambda s=subscriber: len(s.samples) > 3, "ranges")  # type: ignore[misc]
+                session = network.session
+                until(lambda s=session: bool(list(s.get("uwb/v1/lab/b1/info"))), "info")  # type: ignore[misc]
+                assert len(list(session.liveliness().get("uwb/v1/lab/b1/alive"))) == 1
+
+
+def test_vehicles_may_connect_to_the_beacon() -> None:
+    with router() as probe:
+        endpoint = probe.endpoint  # a port that is free once the router is gone
+    with publishing(Publication(Simulated(rate_hz=50.0), listen=(endpoint,))):
+        link: list[RangeLink] = []
+        for _ in range(2):
+            link.append(RangeLink(RangesSettings(connect=(endpoint,)), lambda: None))
+        try:
+            for each in link:
+                until(lambda e=each: bool(list(e.receive())), "ranges")  # type: ignore[misc]
+        finally:
+            for each in link:
+                each.close()
+
+
+def test_a_vehicle_behind_a_router(network: Router) -> None:
+    with publishing(Publication(Simulated(rate_hz=50.0), connect=(network.endpoint,))):
+        link = RangeLink(RangesSettings(connect=(network.endpoint,)), lambda: None)
+        try:
+            until(lambda: bool(list(link.receive())), "ranges")
+        finally:
+            link.close()
 
 
 def test_nobody_there_is_said() -> None:

@@ -13,18 +13,14 @@ from hypothesis import strategies as st
 from companion.uwb import ros2
 from companion.uwb.ros2 import Attachment, BeaconName, Bridge, NotAMeasurement, RosRange
 from companion.wire_range import decode, encode
-from tests.uwb.samples import octets
+from tests.uwb.samples import ATTACHMENT, JAZZY, octets
 
-JAZZY = octets(
-    "00010000 00f15365 80b2e60e 07000000 7577625f613100 01 0000003f 0000803e 0000c842 00004841 0ad7233c"
-)
 HUMBLE = JAZZY[:40]
 BIG_ENDIAN = octets(
     "00000000 6553f100 0ee6b280 00000007 7577625f613100 01 3f000000 3e800000 42c80000 41480000 3c23d70a"
 )
 STAMP_NS = 1_700_000_000_250_000_000
 READ = RosRange(STAMP_NS, "uwb_a1", 1, 0.5, 0.25, 100.0, 12.5, struct.unpack("<f", JAZZY[40:])[0])
-ATTACHMENT = octets("0100000000000000 15cd853dfe9c9717 10 000102030405060708090a0b0c0d0e0f")
 HASH = "RIHS01_b42b62562e93cbfe9d42b82fe5994dfa3d63d7d5c90a317981703f7388adff3a"
 
 
