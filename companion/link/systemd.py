@@ -26,7 +26,7 @@ class Notifier:
             self._socket.setblocking(False)
 
     def send(self, output: Output) -> None:
-        """Tell what an output of the loop means to systemd: a HEARTBEAT is life, a phase change the status."""
+        """Tell systemd what an output of the loop means: a HEARTBEAT is life, a phase change the status."""
         if isinstance(output, CompanionHeartbeat):
             self._tell("READY=1\nWATCHDOG=1")  # ready again means nothing to systemd, but one may get lost
         elif isinstance(output, PhaseChange):
