@@ -25,9 +25,9 @@ from companion import wire_range
 from companion.exits import Exit
 from companion.link.zenoh_publish import Ear, Heard, PublishLink, alive_key, info_key, words
 from companion.settings import Name, RangesSettings
-from companion.uwb import Family, open_parser
 from companion.uwb import info as beacon_info
 from companion.uwb.check import Finding, KeyReport, Level, judge, judge_beacon
+from companion.uwb.families import Family, open_parser
 from companion.uwb.info import BeaconInfo
 from companion.uwb.measured import LosRule, Measured, Parser
 from companion.uwb.sources import Recording, SerialPort, Simulated, Source, SourceError, batches

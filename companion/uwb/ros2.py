@@ -17,7 +17,6 @@ from enum import Enum
 from typing import NamedTuple
 
 from companion.types import LineOfSight
-from companion.uwb.measured import MAX_RANGE_M
 from companion.wire_range import RangeMessage
 
 RANGE_TYPE = "sensor_msgs::msg::dds_::Range_"
@@ -25,7 +24,8 @@ RANGE_TYPE = "sensor_msgs::msg::dds_::Range_"
 MAX_PAYLOAD_BYTES = 512
 """44 bytes and a frame_id; more than this is refused unread."""
 _NS = 1_000_000_000
-_MAX_VARIANCE_M2 = 1e6
+_MAX_RANGE_M, _MAX_VARIANCE_M2 = 10_000.0, 1e6
+"""As in `RangeMessage`."""
 
 
 class RosRange(NamedTuple):
@@ -170,7 +170,7 @@ def to_message(payload: bytes, attachment: bytes | None) -> RangeMessage:
     (infinite, or outside min_range..max_range) or ValueError (unreadable, or a repetition would not show).
     """
     m = decode_range(payload)
-    if not 0.0 < m.range_m <= MAX_RANGE_M:
+    if not 0.0 < m.range_m <= _MAX_RANGE_M:
         raise NotAMeasurement(f"range {m.range_m}: nothing measured")
     if m.max_range_m > 0.0 and not m.min_range_m <= m.range_m <= m.max_range_m:
         raise NotAMeasurement(f"range {m.range_m:g} outside {m.min_range_m:g}..{m.max_range_m:g}")

@@ -19,8 +19,8 @@ from typing import assert_never
 
 import serial
 
-from companion.uwb import Family
 from companion.uwb.dwm1001_tlv import LOC_GET
+from companion.uwb.families import Family
 from companion.uwb.measured import Measured, Parser
 
 _READ_S = 0.02

@@ -16,7 +16,8 @@ from collections import Counter
 from collections.abc import Iterator
 from random import Random
 
-from companion.uwb import Family, open_parser, ros2
+from companion.uwb import ros2
+from companion.uwb.families import Family, open_parser
 from companion.uwb.measured import OK, LosRule, Measured, Parser
 from tests.uwb.samples import ATTACHMENT, JAZZY, SAMPLES
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from companion.types import LineOfSight
-from companion.uwb import Family
+from companion.uwb.families import Family
 from companion.uwb.measured import Measured
 
 LOS, NLOS, UNKNOWN = LineOfSight.LOS, LineOfSight.NLOS, LineOfSight.UNKNOWN

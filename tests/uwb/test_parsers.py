@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.types import LineOfSight
-from companion.uwb import Family, open_parser
+from companion.uwb.families import Family, open_parser
 from companion.uwb.measured import LosRule, Measured, ParseDefect
 from tests.uwb import fuzz
 from tests.uwb.samples import (

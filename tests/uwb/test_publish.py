@@ -21,7 +21,8 @@ from companion.link.zenoh_ranges import RangeLink
 from companion.publish import MOST_PAIRS, Publication, Sender
 from companion.settings import RangesSettings
 from companion.types import LineOfSight
-from companion.uwb import Family, open_parser, sources
+from companion.uwb import sources
+from companion.uwb.families import Family, open_parser
 from companion.uwb.info import BeaconInfo, decode, decode_many, encode, schema
 from companion.uwb.measured import LosRule, Measured
 from companion.uwb.sources import Recording, SerialPort, Simulated, Source, SourceError, batches
