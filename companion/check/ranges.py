@@ -1,0 +1,278 @@
+"""What is heard of the ranges, and what that means for a flight."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from statistics import median
+
+from companion import gate
+from companion.check.report import Part, Row, State
+from companion.gate import Track, Verdict
+from companion.settings import BeaconSettings, Settings
+from companion.types import Event, LineOfSight, Malformed, RangeSample
+
+_MOST_BEACONS = 64
+_KEPT = 1000
+WATCH_S = 3.0
+"""A beacon's rate is judged after this long."""
+
+
+@dataclass(slots=True)
+class Heard:
+    """What came from one beacon."""
+
+    count: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    believed_ns: int = 0
+    """When the last one came that a flight would believe."""
+    longest_gap_s: float = 0.0
+    """Between two that a flight would believe."""
+    session: str = ""
+    sessions: set[str] = field(default_factory=set)
+    switches: int = 0
+    """How often the session changed: a restart does so once, two publishers do it all the time."""
+    verdicts: Counter[Verdict] = field(default_factory=Counter)
+    ranges_m: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    sigmas_m: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    blocked: int = 0
+    """Marked as not in line of sight."""
+    track: Track | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate from the first to the last one."""
+        span_s = (self.last_ns - self.first_ns) * 1e-9
+        return (self.count - 1) / span_s if span_s > 0.0 else 0.0
+
+
+class RangeFindings:
+    """Everything heard on the ranges' link. Memory is bounded, whatever comes."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.beacons: dict[str, Heard] = {}
+        self.more_beacons = 0
+        """Samples of beacons beyond those kept."""
+        self.malformed: Counter[str] = Counter()
+        self.examples: dict[str, str] = {}
+        """One for each kind of malformed sample."""
+
+    def take_in(self, event: Event) -> None:
+        """Note one event of the ranges' link."""
+        if isinstance(event, Malformed):
+            self.malformed[event.defect.value] += 1
+            self.examples.setdefault(event.defect.value, event.detail)
+        elif isinstance(event, RangeSample):
+            if event.beacon not in self.beacons and len(self.beacons) >= _MOST_BEACONS:
+                self.more_beacons += 1
+            else:
+                self._note(self.beacons.setdefault(event.beacon, Heard()), event)
+
+    def _note(self, h: Heard, sample: RangeSample) -> None:
+        if h.count:
+            h.switches += sample.session != h.session
+        else:
+            h.first_ns = sample.t_ns
+        h.count, h.last_ns, h.session = h.count + 1, sample.t_ns, sample.session
+        if len(h.sessions) < _MOST_BEACONS:
+            h.sessions.add(sample.session)
+        h.track, verdict = gate.judge(self._settings.ranges, h.track, sample)
+        h.verdicts[verdict] += 1
+        if verdict is Verdict.ACCEPTED:
+            since_ns = sample.t_ns - (h.believed_ns or sample.t_ns)
+            h.longest_gap_s, h.believed_ns = max(h.longest_gap_s, since_ns * 1e-9), sample.t_ns
+            h.ranges_m.append(sample.range_m)
+            h.blocked += sample.los is LineOfSight.NLOS
+            if sample.sigma_m is not None:
+                h.sigmas_m.append(sample.sigma_m)
+
+    def is_complete(self, t_ns: int) -> bool:
+        """Every configured beacon has been watched for long enough."""
+        wanted = (self.beacons.get(beacon) for beacon in self._settings.beacons)
+        return all(h is not None and (t_ns - h.first_ns) * 1e-9 >= WATCH_S for h in wanted)
+
+
+def judge(
+    settings: Settings,
+    found: RangeFindings,
+    connected: int,
+    t_ns: int,
+    watched_s: float,
+    height_m: float | None,
+) -> Iterator[Row]:
+    """Every row about the ranges. `connected`: routers and peers; `height_m`: the vehicle's, now."""
+    target = settings.mission.target
+    yield _zenoh(settings, connected)
+    for beacon, known in settings.beacons.items():
+        h = found.beacons.get(beacon)
+        if h is None:
+            yield _not_heard(settings, beacon, beacon == target, watched_s)
+        else:
+            name = f"{beacon} (target)" if beacon == target else beacon
+            yield _heard(settings, name, h, t_ns, known)
+            yield from _problems(settings, beacon, h, known, height_m)
+    yield from _strangers(settings, found)
+    for defect, count in found.malformed.items():
+        yield Row(
+            Part.RANGES,
+            "unreadable",
+            State.WARN,
+            f"{count}: {defect}: {found.examples[defect]}",
+            "Such samples are dropped.",
+            "mend the publisher; `companion ranges schema` says what a range looks like",
+        )
+    if target in found.beacons and found.beacons[target].ranges_m:
+        yield from _reach(settings, median(found.beacons[target].ranges_m), height_m)
+
+
+def _zenoh(settings: Settings, connected: int) -> Row:
+    r = settings.ranges
+    where = ", ".join([*r.connect, *(f"listening on {e}" for e in r.listen)])
+    if r.multicast_scouting:
+        where = f"{where}, multicast scouting" if where else "multicast scouting"
+    if connected:
+        number = "1 router or peer" if connected == 1 else f"{connected} routers and peers"
+        return Row(Part.RANGES, "Zenoh", State.OK, f"connected to {number} ({where})")
+    return Row(
+        Part.RANGES,
+        "Zenoh",
+        State.FAIL,
+        f"connected to nobody ({where or 'no endpoint configured'})",
+        "Zenoh says nothing of a wrong endpoint: it keeps trying, and no range ever comes.",
+        "start the router or the beacons; check ranges.connect (protocol, address, port) and ranges.listen",
+    )
+
+
+def _not_heard(settings: Settings, beacon: str, is_target: bool, watched_s: float) -> Row:
+    r = settings.ranges
+    key = f"uwb/v1/{r.site}/{beacon}/{r.tag}/range"
+    return Row(
+        Part.RANGES,
+        f"{beacon} (target)" if is_target else beacon,
+        State.FAIL if is_target else State.WARN,
+        f"no range on {key} within {watched_s:.1f} s",
+        "Without the target's ranges there is nothing to fly to." if is_target else "",
+        "is the beacon on, in reach, and published under this site, id and tag?",
+    )
+
+
+def _heard(settings: Settings, name: str, h: Heard, t_ns: int, known: BeaconSettings) -> Row:
+    """The figures of one beacon, and whether they are good enough to fly on."""
+    coast_s = settings.loss.coast_after_s
+    age_s = max(t_ns - h.believed_ns, 0) * 1e-9
+    accepted = h.verdicts[Verdict.ACCEPTED]
+    figures = f"{h.rate_hz:.1f} Hz"
+    if accepted:
+        sigma = f"told sigma {median(h.sigmas_m):.2f} m" if h.sigmas_m else f"sigma {known.sigma_m:.2f} m"
+        figures = f"{median(h.ranges_m):.2f} m, {sigma}, {figures}, longest gap {h.longest_gap_s:.2f} s, last one {age_s:.2f} s old"
+    refused = ", ".join(f"{n} {v.value}" for v, n in h.verdicts.items() if v is not Verdict.ACCEPTED)
+    if refused:
+        figures += f"; refused: {refused}"
+    state, why, do = State.OK, "", ""
+    if not accepted:
+        state, why = State.FAIL, "Not one of them would be believed."
+        do = "mend the publisher: sequence numbers must rise, ranges must be fresh and plausible"
+    elif age_s > coast_s:
+        state, why = State.FAIL, "It has fallen silent, or sends nothing that would be believed."
+        do = "check the beacon's power and its line of sight, and that its sequence numbers rise"
+    elif h.longest_gap_s > coast_s:
+        state = State.WARN
+        why = f"After {coast_s:g} s without a range the app flies on its prediction (loss.coast_after_s)."
+        do = "look for blocked signals, a lossy network, or a publisher that stalls"
+    elif accepted < 0.7 * h.count:
+        state, why = State.WARN, "Many would not be believed."
+        do = (
+            "late ranges come of a backlog on the way, repeated ones of a publisher that sends its last again"
+        )
+    return Row(Part.RANGES, name, state, figures, why, do)
+
+
+def _problems(
+    settings: Settings, beacon: str, h: Heard, known: BeaconSettings, height_m: float | None
+) -> Iterator[Row]:
+    """What is wrong with a beacon besides its rate."""
+    if h.switches >= len(h.sessions) > 1:
+        yield Row(
+            Part.RANGES,
+            beacon,
+            State.FAIL,
+            f"{len(h.sessions)} publishers at once: the session changed {h.switches} times",
+            "Two sources under one id mix two distances, and no filter can tell them apart.",
+            "stop one of them"
+            + ("; with several tags at this site, set ranges.tag" if settings.ranges.tag == "*" else ""),
+        )
+    if not h.ranges_m:
+        return
+    if h.blocked > 0.5 * len(h.ranges_m):
+        yield Row(
+            Part.RANGES,
+            beacon,
+            State.WARN,
+            f"{h.blocked} of {len(h.ranges_m)} ranges are marked as not in line of sight",
+            "They are too long, by up to metres.",
+            "see what stands between beacon and vehicle",
+        )
+    sigma_m = median(h.sigmas_m) if h.sigmas_m else known.sigma_m
+    if height_m is not None:
+        above_m = abs(height_m - known.height_m)
+        range_m = median(h.ranges_m)
+        if range_m + 3.0 * sigma_m + settings.vehicle.height_sigma_m < above_m:
+            yield Row(
+                Part.RANGES,
+                beacon,
+                State.FAIL,
+                f"range {range_m:.2f} m, but the vehicle is {above_m:.2f} m above or below the beacon",
+                "A slant range cannot be shorter than the difference of the heights.",
+                f"check beacons.{beacon}.height_m: its antenna's height above the take-off point",
+            )
+
+
+def _strangers(settings: Settings, found: RangeFindings) -> Iterator[Row]:
+    strange = {b: h for b, h in found.beacons.items() if b not in settings.beacons}
+    if strange or found.more_beacons:
+        heard = ", ".join(f"{beacon or '(none)'} {h.rate_hz:.1f} Hz" for beacon, h in sorted(strange.items()))
+        yield Row(
+            Part.RANGES,
+            "other beacons",
+            State.WARN,
+            f"not in the configuration: {heard}{' and more' if found.more_beacons else ''}",
+            "Their ranges are not used.",
+            "is an id misspelt? Each beacon has a table [beacons.ID], the one to fly to is mission.target",
+        )
+
+
+def _reach(settings: Settings, range_m: float, height_m: float | None) -> Iterator[Row]:
+    """Is the target within the budgets of the flight?"""
+    limits, v, g = settings.limits, settings.vehicle, settings.guidance
+    beacon_m = settings.beacons[settings.mission.target].height_m
+    above_m = (v.height_m if height_m is None else height_m) - beacon_m
+    if range_m < abs(above_m):
+        return
+    there_m = math.sqrt(range_m**2 - above_m**2)
+    needs_s = there_m / g.speed_m_s
+    found = f"about {there_m:.0f} m away, {needs_s:.0f} s at {g.speed_m_s:g} m/s"
+    over = [
+        f"{name} = {limit:g}"
+        for name, limit, need in (
+            ("limits.from_start_m", limits.from_start_m, there_m),
+            ("limits.distance_m", limits.distance_m, there_m),
+            ("limits.flight_time_s", limits.flight_time_s, needs_s),
+            ("ranges.max_range_m", settings.ranges.max_range_m, math.hypot(there_m, v.height_m - beacon_m)),
+        )
+        if need > limit
+    ]
+    if over:
+        yield Row(
+            Part.RANGES,
+            "way to the target",
+            State.FAIL,
+            f"{found}: more than {', '.join(over)}",
+            "The flight would end in a hand-over on the way.",
+            "raise the limit, or start nearer",
+        )
+    else:
+        yield Row(Part.RANGES, "way to the target", State.OK, f"{found}: within the limits")
