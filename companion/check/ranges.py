@@ -168,7 +168,8 @@ def _heard(settings: Settings, name: str, h: Heard, t_ns: int, known: BeaconSett
     figures = f"{h.rate_hz:.1f} Hz"
     if accepted:
         sigma = f"told sigma {median(h.sigmas_m):.2f} m" if h.sigmas_m else f"sigma {known.sigma_m:.2f} m"
-        figures = f"{median(h.ranges_m):.2f} m, {sigma}, {figures}, longest gap {h.longest_gap_s:.2f} s, last one {age_s:.2f} s old"
+        ages = f"longest gap {h.longest_gap_s:.2f} s, last one {age_s:.2f} s old"
+        figures = f"{median(h.ranges_m):.2f} m, {sigma}, {figures}, {ages}"
     refused = ", ".join(f"{n} {v.value}" for v, n in h.verdicts.items() if v is not Verdict.ACCEPTED)
     if refused:
         figures += f"; refused: {refused}"
