@@ -46,6 +46,8 @@ _HEARTBEAT_NS = 1_000_000_000
 _REQUEST_AGAIN_S = 1.0
 _LONGEST_PREDICTION_S = 1.0
 """After a longer pause of the event stream the prediction is worth nothing anyway."""
+_HEADING_RESET_RAD = 0.2
+"""A larger jump between turn and headings is a reset of the autopilot's yaw, not a turn."""
 _STANDSTILL = Command(0.0, 0.0, PROBE)
 
 
@@ -76,6 +78,8 @@ class Observing(NamedTuple):
     guidance: Any
     t_ns: int = 0
     motion: BodyMotion = BodyMotion()
+    heading_rad: float = 0.0
+    """The heading that the observer's turning so far amounts to; each ATTITUDE corrects it."""
     path_m: float = 0.0
 
 
@@ -183,7 +187,9 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
 
 
 def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
-    return s._replace(observing=_predict(p, s, e.t_ns), vehicle=veh.on_attitude(s.vehicle, e))
+    v = veh.on_attitude(s.vehicle, e)
+    o = _predict(p, s, e.t_ns, turned_to=v.heading_rad)
+    return s._replace(observing=o._replace(heading_rad=v.heading_rad), vehicle=v)
 
 
 def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
@@ -233,8 +239,12 @@ def _reject(s: State, verdict: gate.Verdict) -> State:
     return s._replace(ranging=r._replace(rejected={**r.rejected, verdict: r.rejected.get(verdict, 0) + 1}))
 
 
-def _predict(p: Plan, s: State, t_ns: int) -> Observing:
-    """Bring the observer up to t_ns with the motion measured (or modelled) since."""
+def _predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Observing:
+    """Bring the observer up to t_ns with the motion measured (or modelled) since.
+
+    With the heading measured at t_ns, the whole turn since the last one is that of the two headings: the yaw
+    rate, sampled, is good for the moments between them only.
+    """
     o = s.observing
     dt_s = min((t_ns - o.t_ns) * 1e-9, _LONGEST_PREDICTION_S)
     if dt_s <= 0.0:
@@ -244,11 +254,16 @@ def _predict(p: Plan, s: State, t_ns: int) -> Observing:
     motion = veh.body_motion(
         s.vehicle, o.motion, commanded, t_ns, dt_s, cfg.velocity_lag_s, cfg.yaw_rate_lag_s
     )
+    turn_rad = motion.yaw_rate_rad_s * dt_s
+    if turned_to is not None:
+        measured_rad = math.remainder(turned_to - o.heading_rad, 2.0 * math.pi)
+        if abs(measured_rad - turn_rad) < _HEADING_RESET_RAD:
+            turn_rad = measured_rad
     guidance = p.scheme.predict(
-        p.scheme.p, o.guidance, dt_s, motion.forward_m_s, motion.left_m_s, motion.yaw_rate_rad_s
+        p.scheme.p, o.guidance, dt_s, motion.forward_m_s, motion.left_m_s, turn_rad / dt_s
     )
     flown_m = math.hypot(motion.forward_m_s, motion.left_m_s) * dt_s if s.phase.is_engaged else 0.0
-    return Observing(guidance, t_ns, motion, o.path_m + flown_m)
+    return Observing(guidance, t_ns, motion, o.heading_rad + turn_rad, o.path_m + flown_m)
 
 
 # ---------------------------------------------------------------------------------------------- phase

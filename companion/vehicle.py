@@ -29,8 +29,8 @@ class Vehicle(NamedTuple):
     x_m: float | None = None
     y_m: float | None = None
     height_m: float | None = None
-    vx_m_s: float = 0.0
-    vy_m_s: float = 0.0
+    forward_m_s: float = 0.0
+    left_m_s: float = 0.0
 
 
 class BodyMotion(NamedTuple):
@@ -61,11 +61,19 @@ def on_attitude(v: Vehicle, e: Attitude) -> Vehicle:
 
 
 def on_motion(v: Vehicle, e: LocalMotion) -> Vehicle:
-    """LOCAL_POSITION_NED or ODOMETRY."""
+    """LOCAL_POSITION_NED or ODOMETRY. The velocity is kept in body axes: in a turn it changes least there."""
     if not (math.isfinite(e.vx_m_s) and math.isfinite(e.vy_m_s)):
         return v
+    since_s = 0.0 if v.t_attitude_ns is None else (e.t_ns - v.t_attitude_ns) * 1e-9
+    heading = v.heading_rad + v.yaw_rate_rad_s * min(since_s, _MOTION_FRESH_NS * 1e-9)
+    c, s = math.cos(heading), math.sin(heading)
     return v._replace(
-        t_motion_ns=e.t_ns, x_m=e.x_m, y_m=e.y_m, height_m=e.height_m, vx_m_s=e.vx_m_s, vy_m_s=e.vy_m_s
+        t_motion_ns=e.t_ns,
+        x_m=e.x_m,
+        y_m=e.y_m,
+        height_m=e.height_m,
+        forward_m_s=e.vx_m_s * c + e.vy_m_s * s,
+        left_m_s=e.vy_m_s * c - e.vx_m_s * s,
     )
 
 
@@ -84,8 +92,7 @@ def body_motion(
     else:
         yaw_rate = _lag(before.yaw_rate_rad_s, commanded.yaw_rate_rad_s, dt_s, yaw_rate_lag_s)
     if v.t_motion_ns is not None and t_ns - v.t_motion_ns < _MOTION_FRESH_NS:
-        c, s = math.cos(v.heading_rad), math.sin(v.heading_rad)
-        return BodyMotion(v.vx_m_s * c + v.vy_m_s * s, v.vy_m_s * c - v.vx_m_s * s, yaw_rate)
+        return BodyMotion(v.forward_m_s, v.left_m_s, yaw_rate)
     return BodyMotion(
         _lag(before.forward_m_s, commanded.forward_m_s, dt_s, velocity_lag_s),
         _lag(before.left_m_s, 0.0, dt_s, velocity_lag_s),

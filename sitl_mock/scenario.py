@@ -34,44 +34,88 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     beacons: Annotated[tuple[BeaconAt, ...], Meta(min_length=1)] = (BeaconAt(),)
     start_x_m: float = -2.0
     start_y_m: float = 0.5
-    start_height_m: NonNegative = 3.0
-    """Height at which a simulated flight begins (the wire mock starts on the ground)."""
+    start_height_m: Annotated[
+        NonNegative,
+        Meta(description="Height at which a simulated flight begins (the wire mock starts on the ground)."),
+    ] = 3.0
     start_heading_rad: float = 1.5707963267948966
-    random_start: bool = False
-    """Draw the heading, and the distance to the first beacon from `start_distance_m`, for every seed."""
+    random_start: Annotated[
+        bool,
+        Meta(
+            description=(
+                "Draw the heading, and the distance to the first beacon from `start_distance_m`, "
+                "for every seed."
+            )
+        ),
+    ] = False
     start_distance_m: tuple[Positive, Positive] = (3.0, 30.0)
 
     yaw_rate_lag_s: NonNegative = 0.306
     yaw_rate_delay_s: NonNegative = 0.08
     yaw_rate_gain: Positive = 0.985
     yaw_rate_creep: Fraction = 0.103
-    yaw_rate_creep_s: NonNegative = 2.7
-    """The share of a yaw rate that comes, and goes, slowly, and its time constant."""
+    yaw_rate_creep_s: Annotated[
+        NonNegative,
+        Meta(description="The share of a yaw rate that comes, and goes, slowly, and its time constant."),
+    ] = 2.7
     velocity_lag_s: NonNegative = 0.575
     velocity_delay_s: NonNegative = 0.105
-    vertical_lag_s: NonNegative = 0.25
-    """Yaw rate, horizontal and vertical velocity: a dead time, then two equal lags whose sum is `*_lag_s`.
-
-    An ideal plant has all lags and delays zero, `yaw_rate_creep = 0` and `yaw_rate_gain = 1`.
-    """
+    vertical_lag_s: Annotated[
+        NonNegative,
+        Meta(
+            description=(
+                "Yaw rate, horizontal and vertical velocity: a dead time, then two equal lags "
+                "whose sum is `*_lag_s`. An ideal plant has all lags and delays zero, "
+                "`yaw_rate_creep = 0` and `yaw_rate_gain = 1`."
+            )
+        ),
+    ] = 0.25
     drift_x_m_s: float = 0.0
-    drift_y_m_s: float = 0.0
-    """True motion that the autopilot does not know of (a constant bias of its velocity estimate)."""
-    telemetry: TelemetryKind = "quiet"
-    """Errors of the autopilot's estimate: none, as with quiet sensors, as with stock ones; or never told."""
-    remote_control: bool = False
-    """A radio control is there: its modes can be entered, and are the fallback after a lost stream."""
+    drift_y_m_s: Annotated[
+        float,
+        Meta(
+            description=(
+                "True motion that the autopilot does not know of (a constant bias of its velocity estimate)."
+            )
+        ),
+    ] = 0.0
+    telemetry: Annotated[
+        TelemetryKind,
+        Meta(
+            description=(
+                "Errors of the autopilot's estimate: none, as with quiet sensors, as with stock "
+                "ones; or never told."
+            )
+        ),
+    ] = "quiet"
+    remote_control: Annotated[
+        bool,
+        Meta(
+            description=(
+                "A radio control is there: its modes can be entered, and are the fallback after a "
+                "lost stream."
+            )
+        ),
+    ] = False
 
     range_rate_hz: Positive = 20.0
     range_sigma_m: NonNegative = 0.07
     range_dropout: Fraction = 0.10
     range_outliers: Fraction = 0.05
-    range_outlier_m: tuple[Positive, Positive] = (0.5, 3.0)
-    """Non-line-of-sight outliers add a uniform positive error between these two."""
-    range_outliers_told: bool = False
-    """The module tells the path of its signal: `nlos` with an outlier, `los` otherwise; else `unknown`."""
-    limit_s: Positive = 300.0
-    """A simulated flight ends here at the latest."""
+    range_outlier_m: Annotated[
+        tuple[Positive, Positive],
+        Meta(description="Non-line-of-sight outliers add a uniform positive error between these two."),
+    ] = (0.5, 3.0)
+    range_outliers_told: Annotated[
+        bool,
+        Meta(
+            description=(
+                "The module tells the path of its signal: `nlos` with an outlier, `los` "
+                "otherwise; else `unknown`."
+            )
+        ),
+    ] = False
+    limit_s: Annotated[Positive, Meta(description="A simulated flight ends here at the latest.")] = 300.0
 
     def __post_init__(self) -> None:
         """Raises ValueError where two beacons have one id."""
