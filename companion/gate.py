@@ -3,23 +3,10 @@
 from __future__ import annotations
 
 import math
-from enum import Enum
 from typing import NamedTuple
 
 from companion.settings import RangesSettings
-from companion.types import LineOfSight, RangeSample
-
-
-class Verdict(Enum):
-    """What became of a range."""
-
-    ACCEPTED = "accepted"
-    UNKNOWN_BEACON = "unknown beacon"
-    ABSURD = "absurd"
-    REPEATED = "repeated"
-    OUT_OF_ORDER = "out of order"
-    STALE = "stale"
-    OUTLIER = "outlier"
+from companion.types import LineOfSight, RangeSample, Verdict
 
 
 class Track(NamedTuple):

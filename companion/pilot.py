@@ -33,12 +33,14 @@ from companion.types import (
     Phase,
     PhaseChange,
     RangeSample,
+    RangeVerdict,
     Setpoint,
     Status,
     StopRequest,
     SystemStatus,
     Tick,
     VehicleHeartbeat,
+    Verdict,
 )
 from companion.vehicle import BodyMotion, Vehicle
 
@@ -64,12 +66,14 @@ class Ranging(NamedTuple):
     """What has become of the ranges."""
 
     tracks: dict[str, gate.Track] = {}  # noqa: RUF012 - never changed in place, as the two below
-    rejected: dict[gate.Verdict, int] = {}  # noqa: RUF012
+    rejected: dict[Verdict, int] = {}  # noqa: RUF012
     malformed: dict[str, int] = {}  # noqa: RUF012
     accepted: int = 0
     t_ns: int | None = None
     """When a range was believed last."""
     range_m: float | None = None
+    verdict: Verdict = Verdict.ACCEPTED
+    """What became of the last range."""
 
 
 class Observing(NamedTuple):
@@ -149,6 +153,8 @@ def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
         return s, ()
     s, change = _transit(p, s, t_ns)
     outputs: list[Output] = [] if change is None else [change]
+    if isinstance(event, RangeSample):
+        outputs.append(_verdict(s, event))
     if s.phase in phase.STREAMING and _is_due(p, s, event):
         s, setpoint = _control(p, s, t_ns)
         outputs.append(setpoint)
@@ -164,14 +170,14 @@ _MERE_TELEMETRY = frozenset({Attitude, LocalMotion, Malformed})
 def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     known = p.beacons.get(e.beacon)
     if known is None:
-        return _reject(s, gate.Verdict.UNKNOWN_BEACON)
+        return _reject(s, Verdict.UNKNOWN_BEACON)
     number, beacon = known
     r = s.ranging
     track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e)
     if track is not None:
         r = r._replace(tracks={**r.tracks, e.beacon: track})
         s = s._replace(ranging=r)
-    if verdict is not gate.Verdict.ACCEPTED:
+    if verdict is not Verdict.ACCEPTED:
         return _reject(s, verdict)
     o = _predict(p, s, e.t_ns)
     sigma_m = gate.sigma_m(p.settings.ranges, e, beacon.sigma_m)
@@ -182,8 +188,9 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     )
     s = s._replace(observing=o._replace(guidance=guidance))
     if not guidance.accepted:
-        return _reject(s, gate.Verdict.OUTLIER)
-    return s._replace(ranging=r._replace(t_ns=e.t_ns, accepted=r.accepted + 1, range_m=e.range_m))
+        return _reject(s, Verdict.OUTLIER)
+    r = r._replace(t_ns=e.t_ns, accepted=r.accepted + 1, range_m=e.range_m, verdict=Verdict.ACCEPTED)
+    return s._replace(ranging=r)
 
 
 def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
@@ -234,9 +241,14 @@ _TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
 }
 
 
-def _reject(s: State, verdict: gate.Verdict) -> State:
+def _reject(s: State, verdict: Verdict) -> State:
     r = s.ranging
-    return s._replace(ranging=r._replace(rejected={**r.rejected, verdict: r.rejected.get(verdict, 0) + 1}))
+    rejected = {**r.rejected, verdict: r.rejected.get(verdict, 0) + 1}
+    return s._replace(ranging=r._replace(rejected=rejected, verdict=verdict))
+
+
+def _verdict(s: State, e: RangeSample) -> RangeVerdict:
+    return RangeVerdict(t_ns=e.t_ns, beacon=e.beacon, seq=e.seq, verdict=s.ranging.verdict)
 
 
 def _predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Observing:

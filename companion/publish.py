@@ -23,7 +23,8 @@ import zenoh
 
 from companion import wire_range
 from companion.exits import Exit
-from companion.link.zenoh_publish import Ear, Heard, PublishLink, alive_key, info_key, words
+from companion.link.zenoh_publish import Ear, Heard, PublishLink, alive_key, info_key
+from companion.link.zenoh_session import words
 from companion.settings import Name, RangesSettings
 from companion.uwb import info as beacon_info
 from companion.uwb.check import Finding, KeyReport, Level, judge, judge_beacon

@@ -15,6 +15,7 @@ from companion.guidance.settings import GuidanceSettings
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Finite = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Endpoint = Annotated[str, Meta(pattern=r"^[a-z0-9\-]+/[^/].*$")]
 Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.\-]+$")]
 
 
@@ -58,7 +59,7 @@ class RangesSettings(Table, frozen=True):
         ),
     ] = "*"
     connect: Annotated[
-        tuple[str, ...],
+        tuple[Endpoint, ...],
         Meta(
             description=(
                 "Zenoh endpoints (a router or beacons) to connect to, such as `tcp/192.168.1.10:7447`."
@@ -66,7 +67,7 @@ class RangesSettings(Table, frozen=True):
         ),
     ] = ()
     listen: Annotated[
-        tuple[str, ...], Meta(description="Zenoh endpoints to listen on, such as `tcp/0.0.0.0:7447`.")
+        tuple[Endpoint, ...], Meta(description="Zenoh endpoints to listen on, such as `tcp/0.0.0.0:7447`.")
     ] = ()
     multicast_scouting: Annotated[
         bool, Meta(description="Find peers by multicast. Off: only the endpoints above are used.")

@@ -59,6 +59,18 @@ class Landed(Enum):
     LANDING = "landing"
 
 
+class Verdict(Enum):
+    """What became of a range."""
+
+    ACCEPTED = "accepted"
+    UNKNOWN_BEACON = "unknown beacon"
+    ABSURD = "absurd"
+    REPEATED = "repeated"
+    OUT_OF_ORDER = "out of order"
+    STALE = "stale"
+    OUTLIER = "outlier"
+
+
 class Defect(Enum):
     """Why wire data could not become an event. A closed list, so that counting it takes bounded memory."""
 
@@ -200,6 +212,14 @@ class ModeRequest(Output, frozen=True, gc=False, tag="mode_request"):
     mode: FlightMode
 
 
+class RangeVerdict(Output, frozen=True, gc=False, tag="range_verdict"):
+    """What became of a range: for the record."""
+
+    beacon: str
+    seq: int
+    verdict: Verdict
+
+
 class Severity(IntEnum):
     """MAV_SEVERITY, as far as it is used."""
 
@@ -313,5 +333,5 @@ class Status(Output, frozen=True, gc=False, tag="status"):
     captured: bool
 
 
-AnyOutput = Setpoint | ModeRequest | CompanionHeartbeat | PhaseChange | Status
+AnyOutput = RangeVerdict | Setpoint | ModeRequest | CompanionHeartbeat | PhaseChange | Status
 """Every output there is."""

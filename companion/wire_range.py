@@ -41,7 +41,10 @@ class RangeMessage(msgspec.Struct, frozen=True, gc=False, omit_defaults=True):
     )
     rssi_dbm: Annotated[float, Meta(ge=-300.0, le=100.0, description="received power, dBm")] | None = None
     t_ns: (
-        Annotated[int, Meta(ge=0, description="Unix time of the measurement, nanoseconds, if synchronised")]
+        Annotated[
+            int,
+            Meta(ge=0, lt=2**62, description="Unix time of the measurement, nanoseconds, if synchronised"),
+        ]
         | None
     ) = None
     status: (
@@ -73,8 +76,15 @@ def decode(payload: bytes, encoding: str) -> RangeMessage:
     """Read and validate a payload.
 
     Raises `msgspec.ValidationError` (a field is missing or out of range), `msgspec.DecodeError` (not JSON or
-    MessagePack), `ValueError` (too long, or an encoding that is neither).
+    MessagePack), `ValueError` (too long, too deep, or an encoding that is neither).
     """
+    try:
+        return _decode(payload, encoding)
+    except RecursionError:  # nested a thousand deep in a field that nobody reads
+        raise ValueError("nested too deeply") from None
+
+
+def _decode(payload: bytes, encoding: str) -> RangeMessage:
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"payload of {len(payload)} bytes, at most {MAX_PAYLOAD_BYTES}")
     if encoding.startswith(JSON):

@@ -19,18 +19,16 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from threading import Event, Thread
 from typing import NamedTuple
 
 import zenoh
 
 from companion import wire_range
-from companion.link.zenoh_ranges import zenoh_config
+from companion.link.zenoh_session import Opener, is_client, neighbours, zenoh_config
 from companion.settings import RangesSettings
 from companion.wire_range import RangeMessage
 
 _ANSWER_S = 2.0
-_RETRY_S = 0.1
 
 
 def info_key(site: str, beacon: str) -> str:
@@ -43,24 +41,6 @@ def alive_key(site: str, beacon: str) -> str:
     return f"{wire_range.KEY_VERSION}/{site}/{beacon}/alive"
 
 
-def session_config(settings: RangesSettings) -> zenoh.Config:
-    """As for the ranges' reader, but a client where nothing is listened on.
-
-    A router hands nothing from one peer to another (Zenoh 1.10: they are to connect to each other), but
-    everything from and to clients. A client takes the first endpoint that answers, and does not open before.
-    """
-    config = zenoh_config(settings)
-    if not settings.listen:
-        config.insert_json5("mode", '"client"')
-        config.insert_json5("connect/timeout_ms", "0")
-    return config
-
-
-def words(error: zenoh.ZError) -> str:
-    """What Zenoh says, without the place in its own source."""
-    return str(error).splitlines()[0].partition(" at /")[0][:200]
-
-
 class PublishLink:
     """The publishing end: a session, and what was declared on it.
 
@@ -70,36 +50,23 @@ class PublishLink:
 
     def __init__(self, settings: RangesSettings, encoding: str = wire_range.JSON) -> None:
         """Raises zenoh.ZError where an endpoint is malformed or cannot be listened on."""
-        self.reason = ""
-        """Why there is no session yet."""
         self._site = settings.site
         self._encoding = encoding
-        self._config = session_config(settings)
         self._infos: dict[str, bytes] = {}
         self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
         self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
         self._session: zenoh.Session | None = None
-        self._opened: list[zenoh.Session] = []
-        self._closing = Event()
-        self._opener = Thread(target=self._open, daemon=True)
-        if settings.listen:
-            self._session = zenoh.open(self._config)
-        else:
-            self._opener.start()
+        self._opener = Opener(settings, lambda _: None)
 
-    def _open(self) -> None:
-        """In a thread of its own: an address where nothing is may take seconds to fail."""
-        while not self._closing.wait(_RETRY_S):
-            try:
-                self._opened.append(zenoh.open(self._config))
-                return
-            except zenoh.ZError as error:
-                self.reason = words(error)
+    @property
+    def reason(self) -> str:
+        """Why there is no session yet."""
+        return self._opener.reason
 
     def _ready(self) -> zenoh.Session | None:
         """The session, once it is there; then everything is declared that was announced before."""
-        if self._session is None and self._opened:
-            self._session = self._opened[0]
+        if self._session is None and self._opener.session is not None:
+            self._session = self._opener.session
             for beacon, info in self._infos.items():
                 self._declare(self._session, beacon, info)
         return self._session
@@ -140,21 +107,12 @@ class PublishLink:
 
     def connected(self) -> int:
         """How many routers and peers there are. None at all is silent in Zenoh, and worth telling."""
-        session = self._ready()
-        return _neighbours(session) if session is not None else 0
+        self._ready()
+        return self._opener.connected()
 
     def close(self) -> None:
         """Leave the network: the beacons' tokens go with it."""
-        self._closing.set()
-        if self._opener.is_alive():
-            self._opener.join(1.0)
-        self._ready()
-        if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]
-
-
-def _neighbours(session: zenoh.Session) -> int:
-    return len(session.info.routers_zid()) + len(session.info.peers_zid())
+        self._opener.close()
 
 
 class Heard(NamedTuple):
@@ -189,8 +147,8 @@ class Ear:
 
     def __init__(self, settings: RangesSettings, key: str) -> None:
         """Open and subscribe. Raises zenoh.ZError: nobody answers, or `key` is no key expression."""
-        config = session_config(settings)
-        if not settings.listen:
+        config = zenoh_config(settings)
+        if is_client(settings):
             config.insert_json5("connect/timeout_ms", "3000")
         self._session: zenoh.Session = zenoh.open(config)
         self._heard: deque[Heard] = deque()
@@ -231,7 +189,7 @@ class Ear:
 
     def connected(self) -> int:
         """How many routers and peers there are."""
-        return _neighbours(self._session)
+        return neighbours(self._session)
 
     def ask(self, key: str) -> Answer | None:
         """The first answer to a query; None where nobody answers."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ import msgspec
 import zenoh
 
 from companion import wire_range
+from companion.link.zenoh_session import Opener
 from companion.settings import RangesSettings
 from companion.types import Defect, Event, Malformed, RangeSample
 
@@ -28,30 +28,6 @@ class _Raw(NamedTuple):
     encoding: str
 
 
-def zenoh_config(settings: RangesSettings) -> zenoh.Config:
-    """An explicit Zenoh configuration: nothing listens, connects or scouts that is not named in it.
-
-    A peer, also towards a router: a client would not open before the router answers. Endpoints that do not
-    answer yet are tried again for ever, 0.1 to 0.5 s apart.
-    """
-    config = {
-        "mode": "peer",
-        "connect": {
-            "endpoints": list(settings.connect),
-            "timeout_ms": -1,
-            "exit_on_failure": False,
-            "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
-        },
-        "listen": {"endpoints": list(settings.listen), "exit_on_failure": True},
-        "scouting": {
-            "delay": 0,
-            "multicast": {"enabled": settings.multicast_scouting},
-            "gossip": {"enabled": settings.multicast_scouting},
-        },
-    }
-    return zenoh.Config.from_json5(json.dumps(config))
-
-
 class RangeLink:
     """A subscription to the ranges of a site. `wake` is called from Zenoh's thread when something came."""
 
@@ -60,11 +36,12 @@ class RangeLink:
         self._raw: deque[_Raw] = deque(maxlen=_BACKLOG)
         self._flood = 0
         self._wake = wake
-        self._session: zenoh.Session = zenoh.open(zenoh_config(settings))
-        key = wire_range.range_key(settings.site, "*", settings.tag)
-        self._subscriber = self._session.declare_subscriber(
-            key, zenoh.handlers.Callback(self._note, indirect=False)
-        )
+        self._key = wire_range.range_key(settings.site, "*", settings.tag)
+        self._opener = Opener(settings, self._listen)
+
+    def _listen(self, session: zenoh.Session) -> None:
+        # Not indirect: a thread and its unbounded queue less between the wire and the loop.
+        session.declare_subscriber(self._key, zenoh.handlers.Callback(self._note, indirect=False))
 
     def _note(self, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: no parsing, no logging, no waiting."""
@@ -87,13 +64,11 @@ class RangeLink:
 
     def connected(self) -> int:
         """How many routers and peers there are. None at all is silent in Zenoh, and worth telling."""
-        info = self._session.info
-        return len(info.routers_zid()) + len(info.peers_zid())
+        return self._opener.connected()
 
     def close(self) -> None:
         """Leave the network."""
-        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._opener.close()
 
 
 def to_event(raw: _Raw) -> Event:

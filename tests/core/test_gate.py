@@ -7,9 +7,8 @@ import math
 import pytest
 
 from companion import gate
-from companion.gate import Verdict
 from companion.settings import RangesSettings
-from companion.types import LineOfSight, RangeSample
+from companion.types import LineOfSight, RangeSample, Verdict
 
 CFG = RangesSettings(max_range_m=50.0, max_age_s=0.3)
 MS = 1_000_000

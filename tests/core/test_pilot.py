@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion import pilot
-from companion.gate import Verdict
 from companion.settings import LimitSettings, LossSettings, Settings, StreamSettings, VehicleSettings
 from companion.types import (
     Attitude,
@@ -34,6 +33,7 @@ from companion.types import (
     SystemStatus,
     Tick,
     VehicleHeartbeat,
+    Verdict,
 )
 from tests.core.flights import LOITER, MS, OFFBOARD, Flown, Script, engaged, fly
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -110,6 +111,7 @@ def packed(**fields: object) -> bytes:
         (text(), "text/plain", Defect.RANGE_ENCODING),
         (text(), "zenoh/bytes", Defect.RANGE_ENCODING),
         (b" " * 5000, JSON, Defect.RANGE_TOO_LONG),
+        (text()[:-1] + b', "x": ' + b"[" * 3900 + b"}", JSON, Defect.RANGE_ENCODING),
         (b"\xc1", MSGPACK, Defect.RANGE_PAYLOAD),
         (packed(range_m=math.nan), MSGPACK, Defect.RANGE_FIELD),
         (packed(rssi_dbm=math.inf), MSGPACK, Defect.RANGE_FIELD),
@@ -161,7 +163,34 @@ def test_the_schema_is_the_definition() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("endpoint", ["nonsense", "foo/127.0.0.1:7447"])
-def test_a_malformed_endpoint_stops_the_start(endpoint: str) -> None:
+@pytest.mark.parametrize("endpoint", ["tcp/203.0.113.1:7447", "foo/127.0.0.1:7447"])
+def test_an_endpoint_that_cannot_be_listened_on_stops_the_start(endpoint: str) -> None:
     with pytest.raises(zenoh.ZError):
-        RangeLink(RangesSettings(connect=(endpoint,)), lambda: None)
+        RangeLink(RangesSettings(listen=(endpoint,)), lambda: None)
+
+
+@pytest.mark.parametrize("vehicle_first", [True, False])
+def test_a_router_hands_ranges_from_a_beacon_to_the_vehicle(vehicle_first: bool) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    quiet = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+    router: Any = None
+    listener = Listener(endpoint) if vehicle_first else None
+    try:
+        opened = {"mode": "router", "listen": {"endpoints": [endpoint]}, "scouting": quiet}
+        router = zenoh.open(zenoh.Config.from_json5(json.dumps(opened)))
+        listener = listener or Listener(endpoint)
+        peer = {"mode": "peer", "connect": {"endpoints": [endpoint]}, "scouting": quiet}
+        beacon: Any = zenoh.open(zenoh.Config.from_json5(json.dumps(peer)))
+        for seq in range(200):
+            beacon.put(KEY, text(seq=seq), encoding=JSON)
+            if listener.rung.wait(0.05):
+                break
+        assert isinstance(next(listener.link.receive()), RangeSample)
+        beacon.close()
+    finally:
+        if listener is not None:
+            listener.link.close()
+        if router is not None:
+            router.close()

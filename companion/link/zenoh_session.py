@@ -1,0 +1,104 @@
+"""Zenoh sessions as this project opens them: explicit endpoints, nothing found by itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from threading import Event, Thread
+
+import zenoh
+
+from companion.settings import RangesSettings
+
+_RETRY_S = 0.1
+
+
+def is_client(settings: RangesSettings) -> bool:
+    """A router hands nothing from one peer to another (Zenoh 1.10), but everything from and to clients.
+
+    A client connects to one endpoint and does not open before it answers; whoever listens, or connects to
+    several beacons, is a peer.
+    """
+    return not settings.listen and len(settings.connect) == 1
+
+
+def zenoh_config(settings: RangesSettings) -> zenoh.Config:
+    """An explicit configuration: nothing listens, connects or scouts that is not named in it.
+
+    A peer's endpoints that do not answer yet are tried again for ever, 0.1 to 0.5 s apart.
+    """
+    client = is_client(settings)
+    config = {
+        "mode": "client" if client else "peer",
+        "connect": {
+            "endpoints": list(settings.connect),
+            "timeout_ms": 0 if client else -1,
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+        },
+        "listen": {"endpoints": list(settings.listen), "exit_on_failure": True},
+        "scouting": {
+            "delay": 0,
+            "multicast": {"enabled": settings.multicast_scouting},
+            "gossip": {"enabled": settings.multicast_scouting},
+        },
+    }
+    return zenoh.Config.from_json5(json.dumps(config))
+
+
+def words(error: zenoh.ZError) -> str:
+    """What Zenoh says, without the place in its own source."""
+    return str(error).splitlines()[0].partition(" at /")[0][:200]
+
+
+def neighbours(session: zenoh.Session) -> int:
+    """How many routers and peers a session is connected to."""
+    return len(session.info.routers_zid()) + len(session.info.peers_zid())
+
+
+class Opener:
+    """A session that opens now (a peer), or in a thread of its own, again and again, until somebody answers.
+
+    `opened` is called with the session, in that thread.
+    """
+
+    def __init__(self, settings: RangesSettings, opened: Callable[[zenoh.Session], None]) -> None:
+        """Raises zenoh.ZError where a peer's endpoint is malformed or cannot be listened on."""
+        self.session: zenoh.Session | None = None
+        self.reason = ""
+        """Why there is no session yet."""
+        self._config = zenoh_config(settings)
+        self._opened = opened
+        self._closing = Event()
+        self._thread: Thread | None = None
+        if is_client(settings):
+            self._thread = Thread(target=self._try, name="zenoh-opener", daemon=True)
+            self._thread.start()
+        else:
+            self.session = zenoh.open(self._config)
+            opened(self.session)
+
+    def _try(self) -> None:
+        """An address where nothing is may take seconds to fail."""
+        while not self._closing.is_set():
+            try:
+                session = zenoh.open(self._config)
+            except zenoh.ZError as error:
+                self.reason = words(error)
+                self._closing.wait(_RETRY_S)
+                continue
+            self.session = session
+            self._opened(session)
+            return
+
+    def connected(self) -> int:
+        """How many routers and peers there are. None at all is silent in Zenoh, and worth telling."""
+        return 0 if self.session is None else neighbours(self.session)
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(1.0)
+        if self.session is not None:
+            self.session.close()  # type: ignore[no-untyped-call]
