@@ -10,9 +10,9 @@ from statistics import median
 
 from companion import gate
 from companion.check.report import Part, Row, State
-from companion.gate import Track, Verdict
+from companion.gate import Track
 from companion.settings import BeaconSettings, Settings
-from companion.types import Event, LineOfSight, Malformed, RangeSample
+from companion.types import Event, LineOfSight, Malformed, RangeSample, Verdict
 
 _MOST_BEACONS = 64
 _KEPT = 1000
