@@ -11,10 +11,12 @@ import json
 import os
 import sys
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from companion import cli_publish
 from companion.exits import MEANING, Exit
 
 if TYPE_CHECKING:
@@ -47,6 +49,7 @@ class _UsageError(Exception):
 
 def _fly(args: argparse.Namespace) -> int:
     from companion.fly import fly
+    from companion.record import Recorder, start_now
     from companion.view import ViewKind, open_view
 
     overrides = list(args.set)
@@ -58,7 +61,29 @@ def _fly(args: argparse.Namespace) -> int:
         overrides.append(f"ranges.listen={json.dumps(args.zenoh_listen)}")
     loaded = _load(args.config, overrides)
     view = open_view(sys.stdout, ViewKind(args.view))
-    return fly(loaded.config, view, json_file=args.json, png_file=args.png)
+    path = args.record or Path("flights") / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
+    recorder = Recorder.open(path, start_now(loaded.config, loaded.digest, loaded.sources))
+    return fly(loaded.config, view, recorder, json_file=args.json, png_file=args.png)
+
+
+def _replay(args: argparse.Namespace) -> int:
+    import msgspec
+
+    from companion.config import ConfigError, load
+    from companion.recording import RecordError, read
+    from companion.replay import replay
+
+    try:
+        recording = read(args.file)
+        settings = None
+        if args.config or args.set:
+            recorded = json.loads(recording.start.config)
+            settings = load(args.config, {}, args.set, recorded=recorded).config
+        result = replay(recording, settings)
+    except (RecordError, ConfigError) as error:
+        raise _UsageError(str(error)) from error
+    print(msgspec.json.encode(result).decode() if args.json else result.text())
+    return Exit.OK if result.equal or settings is not None else Exit.DIFFERENT
 
 
 def _sim(args: argparse.Namespace) -> int:
@@ -146,6 +171,13 @@ def _operator(args: argparse.Namespace) -> int:
     return result.exit_status
 
 
+def _publish(args: argparse.Namespace) -> int:
+    try:
+        return cli_publish.run(args)
+    except ValueError as error:
+        raise _UsageError(str(error)) from error
+
+
 def _design(args: argparse.Namespace) -> int:
     from companion.bench.design import design, plot, table
 
@@ -222,8 +254,24 @@ def _parser() -> argparse.ArgumentParser:
         default="auto",
         help="what to show (auto: live on a terminal, else a line per second)",
     )
+    fly.add_argument(
+        "--record", metavar="FILE", type=Path, help="MCAP file of the flight (default: flights/TIME.mcap)"
+    )
     fly.add_argument("--json", metavar="FILE", type=Path, help="write summary and trail as JSON at the end")
     fly.add_argument("--png", metavar="FILE", type=Path, help="draw the flight at the end")
+
+    replay = _command(
+        commands,
+        "replay",
+        _replay,
+        "feed a recorded flight to the pilot again and compare every output, bit for bit",
+        "companion replay flights/2026-11-22T10-15-00Z.mcap\n"
+        "  companion replay FLIGHT.mcap --set guidance.speed_m_s=0.4   # what would have been commanded",
+        _EXITS,
+    )
+    replay.add_argument("file", metavar="FLIGHT.mcap", type=Path)
+    _config_options(replay)
+    replay.add_argument("--json", action="store_true", help="print one JSON object")
 
     sim = _command(
         commands,
@@ -281,6 +329,16 @@ def _parser() -> argparse.ArgumentParser:
     operator.add_argument(
         "--timeout", metavar="S", type=_positive, default=600.0, help="land after this long at the latest"
     )
+
+    publish = _command(
+        commands,
+        "publish",
+        _publish,
+        "put ranges on Zenoh: from a UWB module, a file or a simulated beacon",
+        cli_publish.EXAMPLES,
+        _EXITS,
+    )
+    cli_publish.options(publish)
 
     design = _command(
         commands,

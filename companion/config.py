@@ -6,6 +6,7 @@ command line `--set table.key=value`. Values are TOML; what is not TOML is taken
 
 from __future__ import annotations
 
+import copy
 import difflib
 import hashlib
 import re
@@ -46,10 +47,18 @@ class Loaded(NamedTuple):
         return hashlib.sha256(msgspec.json.encode(self.config, order="sorted")).hexdigest()[:16]
 
 
-def load(path: Path | None, environment: Mapping[str, str], overrides: Iterable[str] = ()) -> Loaded:
-    """Read and check a configuration. Raises ConfigError with one line that says what to change."""
-    raw: dict[str, Any] = {}
-    sources: dict[str, str] = {}
+def load(
+    path: Path | None,
+    environment: Mapping[str, str],
+    overrides: Iterable[str] = (),
+    recorded: Mapping[str, Any] | None = None,
+) -> Loaded:
+    """Read and check a configuration; without a file, start from a recorded one or from the defaults.
+
+    Raises ConfigError with one line that says what to change.
+    """
+    raw: dict[str, Any] = copy.deepcopy(dict(recorded or {}))
+    sources: dict[str, str] = dict.fromkeys(_leaves(raw), "the record")
     if path is not None:
         raw = _read(path)
         sources = dict.fromkeys(_leaves(raw), str(path))

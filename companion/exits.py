@@ -14,6 +14,9 @@ class Exit(IntEnum):
     NO_RANGES = 4
     NOT_CAPTURED = 5
     LINK = 6
+    NOT_READY = 7
+    DIFFERENT = 8
+    FAULTY = 9
     INTERRUPTED = 130
 
 
@@ -24,6 +27,9 @@ MEANING = {
     Exit.NO_RANGES: "no usable ranges within loss.wait_s",
     Exit.NOT_CAPTURED: "the flight ended without a capture",
     Exit.LINK: "a port or endpoint could not be opened",
+    Exit.NOT_READY: "check: not ready to fly",
+    Exit.DIFFERENT: "replay: other outputs than recorded",
+    Exit.FAULTY: "publish --check: something is wrong with the publisher",
     Exit.INTERRUPTED: "interrupted before a capture",
 }
 """One line each, for `--help`."""

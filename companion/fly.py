@@ -16,6 +16,7 @@ from companion.exits import Exit
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell, live
+from companion.record import Recorder
 from companion.run import run
 from companion.settings import Settings
 from companion.summary import FlightLog, FlightReport, Problem, report, text
@@ -23,11 +24,14 @@ from companion.types import Output, PhaseChange, Status
 from companion.view import View
 
 
-def fly(settings: Settings, view: View, json_file: Path | None, png_file: Path | None) -> Exit:
+def fly(
+    settings: Settings, view: View, recorder: Recorder, json_file: Path | None, png_file: Path | None
+) -> Exit:
     """Fly until the flight is over, then tell what it came to."""
     log = FlightLog()
     try:
         with ExitStack() as stack:
+            stack.enter_context(recorder)
             stack.callback(view.close)
             bell = Bell()
             stack.callback(bell.close)
@@ -47,13 +51,16 @@ def fly(settings: Settings, view: View, json_file: Path | None, png_file: Path |
                     view.note(output)
                     log.add(output)
 
-            final = run(live(vehicle, ranges, bell), settings, send, _unrecorded)
+            if recorder.problem is not None:
+                view.tell(f"not recorded: {recorder.problem}")
+            final = run(live(vehicle, ranges, bell), settings, send, recorder.write)
     except (OSError, ValueError, serial.SerialException, zenoh.ZError) as error:
         print(f"companion: link: {error}", file=sys.stderr)
         return Exit.LINK
     g = settings.guidance
     flight = report(log, Problem(g.capture_radius_m, g.speed_m_s, g.yaw_rate_max_rad_s))
     print(text(flight.summary))
+    print(f"record: {recorder.problem or recorder.name}")
     _write(flight, json_file, png_file)
     return exit_status(final, log)
 
@@ -81,7 +88,3 @@ def _write(flight: FlightReport, json_file: Path | None, png_file: Path | None) 
             print(f"picture: {png_file}")
         except PictureError as error:
             print(f"companion: no picture: {error}", file=sys.stderr)
-
-
-def _unrecorded(_: object) -> None:
-    """The flight is not recorded."""

@@ -13,9 +13,9 @@ ROOT = Path(__file__).parents[2]
 
 CORE = {"types", "guidance", "gate", "phase", "limits", "vehicle", "settings", "pilot", "run"}
 """The pure core, which may import only itself."""
-EDGES = {"link", "live", "view", "summary", "wire_range", "record", "recording", "replay", "foxglove"}
-DESK = {"operator", "ground", "picture", "demo", "bench", "simulate", "publish", "uwb"}
-TOP = {"cli", "fly", "config", "exits", "__main__"} | DESK
+EDGES = {"link", "live", "view", "summary", "wire_range", "record", "recording", "replay", "foxglove", "uwb"}
+DESK = {"operator", "ground", "picture", "demo", "bench", "simulate", "publish", "check"}
+TOP = {"cli", "cli_publish", "fly", "config", "exits", "__main__"} | DESK
 
 
 def imported(path: Path) -> set[str]:
