@@ -38,7 +38,7 @@ def commands() -> list[str]:
 RUN_BY_CI = {"make demo", "make test", "make lint", "make faults", "pip install ."}
 
 
-def run(arguments: list[str], tmp_path: Path) -> int:
+def run(arguments: list[str]) -> int:
     done = subprocess.run(
         [sys.executable, "-m", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=BOUND_S
     )
@@ -55,13 +55,14 @@ def test_every_command_runs(command: str, tmp_path: Path) -> None:
     if words[0] == "sitl_mock":
         start_and_stop(words)
     elif words[1] == "fly":
-        assert run([*words, "--set", "loss.wait_s=1"], tmp_path) == Exit.NO_VEHICLE
+        words += ["--set", "loss.wait_s=1", "--record", str(tmp_path / "flight.mcap")]
+        assert run(words) == Exit.NO_VEHICLE
     elif words[1] == "operator":
-        assert run([*words, "--timeout", "1"], tmp_path) == OperatorResult.NO_VEHICLE.exit_status
+        assert run([*words, "--timeout", "1"]) == OperatorResult.NO_VEHICLE.exit_status
     else:
         words = ["4" if w == "200" else w for w in words]
         words = [str(tmp_path) if words[i - 1] in ("--plots", "-o") else w for i, w in enumerate(words)]
-        assert run(words, tmp_path) == Exit.OK
+        assert run(words) == Exit.OK
 
 
 def start_and_stop(words: list[str]) -> None:

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,7 @@ def start(*arguments: str) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        cwd=ROOT,
+        cwd=tempfile.mkdtemp(),  # the flight's record goes there
         env={key: value for key, value in os.environ.items() if not key.startswith("COMPANION_")},
     )
 
@@ -42,7 +43,14 @@ def run(*arguments: str) -> tuple[int, str, str]:
 
 
 def fly(*more: str) -> tuple[str, ...]:
-    return ("fly", "--config", "config/capture.toml", "--mavlink", f"udpin:127.0.0.1:{free_port()}", *more)
+    return (
+        "fly",
+        "--config",
+        str(ROOT / "config/capture.toml"),
+        "--mavlink",
+        f"udpin:127.0.0.1:{free_port()}",
+        *more,
+    )
 
 
 @pytest.mark.parametrize(
