@@ -206,7 +206,7 @@ def _fly(
         )  # fmt: skip
         companion = start(
             "companion", "companion", "fly", "--mavlink", onboard, "--zenoh-connect", zenoh, "--view", "json",
-            "--json", str(out / "flight.json"),
+            "--json", str(out / "flight.json"), "--record", str(out / "flight.mcap"),
             *itertools.chain.from_iterable(("--config", f) for f in file),
         )  # fmt: skip
         stack.callback(_ask_to_end, children)  # all of them, before each is waited for
