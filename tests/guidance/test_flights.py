@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from companion.bench.batch import Floats, Flyer, fly_many, random_starts
+from companion.bench.plant import Flight, Plant, Start
 from companion.guidance.schemes import capture
 from companion.guidance.settings import GuidanceSettings
 
-from .plant import IDEAL, Flight, Plant, Start, flyer, path_ratios, random_starts
-
 pytestmark = pytest.mark.xdist_group("numba")  # one worker compiles, not each
 NOMINAL = Plant()
-PX4_LIKE = Plant(yaw_rate_lag_s=0.47, speed_lag_s=0.72)
+IDEAL = Plant(dropout=0.0, reflected=0.0, yaw_rate_lag_s=0.0, velocity_lag_s=0.0)
+PX4_LIKE = Plant(yaw_rate_lag_s=0.47, velocity_lag_s=0.72)
 
 SECTION_VII = Start(math.hypot(5.5, 4.5), math.pi / 2.0 - math.atan2(4.5, 5.5), 0)
 """From (−2, 0.5) heading north to (3.5, 5): θ_T(0) = 0.885."""
 
 
-def _section_vii_times(settings: GuidanceSettings) -> list[float]:
-    fly = flyer(capture(settings, 0.0))
+def _flights(settings: GuidanceSettings, plant: Plant, starts: list[Start]) -> Flight:
+    """A column of many flights in each field."""
+    return Flight(*fly_many(Flyer(capture(settings, plant.yaw_rate_lag_s)), plant, starts).T)
+
+
+def _section_vii_times(settings: GuidanceSettings) -> Floats:
     plant = IDEAL._replace(limit_s=60.0)
-    return [fly(plant, SECTION_VII._replace(seed=seed)).time_s for seed in range(200)]
+    return np.array(_flights(settings, plant, [SECTION_VII._replace(seed=n) for n in range(200)]).time_s)
+
+
+def _ratios(settings: GuidanceSettings, plant: Plant, starts: list[Start]) -> Floats:
+    flights = _flights(settings, plant, starts)
+    ratios: Floats = np.array(flights.path_m) / np.array(flights.bound_m)
+    return ratios
 
 
 def test_section_vii_is_reproduced_by_the_papers_scheme() -> None:
@@ -48,39 +58,31 @@ def test_section_vii_without_a_known_bearing() -> None:
     assert np.isfinite(times).all()
 
 
-@pytest.fixture(scope="module")
-def fly_default() -> Callable[[Plant, Start], Flight]:
-    return flyer(capture(GuidanceSettings(), NOMINAL.yaw_rate_lag_s))
-
-
-def test_the_default_captures_from_anywhere(fly_default: Callable[[Plant, Start], Flight]) -> None:
-    ratios, rests = path_ratios(fly_default, NOMINAL, random_starts(600, seed=1), 0.5, 1.0)
+def test_the_default_captures_from_anywhere() -> None:
+    flights = _flights(GuidanceSettings(), NOMINAL, random_starts(600, seed=1))
+    ratios = np.array(flights.path_m) / np.array(flights.bound_m)
     assert np.isfinite(ratios).all()
     assert np.median(ratios) <= 1.035
     assert np.percentile(ratios, 95) <= 1.25
-    assert np.mean(rests <= NOMINAL.radius_m) >= 0.995
+    assert np.mean(np.array(flights.rest_m) <= NOMINAL.radius_m) >= 0.995
 
 
-def test_the_default_bears_many_reflections_and_dropouts(
-    fly_default: Callable[[Plant, Start], Flight],
-) -> None:
+def test_the_default_bears_many_reflections_and_dropouts() -> None:
     plant = NOMINAL._replace(reflected=0.2, dropout=0.4)
-    ratios, _ = path_ratios(fly_default, plant, random_starts(300, seed=2), 0.5, 1.0)
+    ratios = _ratios(GuidanceSettings(), plant, random_starts(300, seed=2))
     assert np.isfinite(ratios).all()
     assert np.median(ratios) <= 1.05
     assert np.percentile(ratios, 95) <= 1.35
 
 
 def test_the_default_on_a_vehicle_as_slow_as_px4s() -> None:
-    fly = flyer(capture(GuidanceSettings(), PX4_LIKE.yaw_rate_lag_s))
-    ratios, _ = path_ratios(fly, PX4_LIKE, random_starts(300, seed=3), 0.5, 1.0)
+    ratios = _ratios(GuidanceSettings(), PX4_LIKE, random_starts(300, seed=3))
     assert np.isfinite(ratios).all()
     assert np.median(ratios) <= 1.045
     assert np.percentile(ratios, 95) <= 1.30
 
 
 def test_the_papers_law_flies_on_the_kalman_filter() -> None:
-    fly = flyer(capture(GuidanceSettings(controller="lq-paper"), NOMINAL.yaw_rate_lag_s))
-    ratios, _ = path_ratios(fly, NOMINAL, random_starts(300, seed=4), 0.5, 1.0)
+    ratios = _ratios(GuidanceSettings(controller="lq-paper"), NOMINAL, random_starts(300, seed=4))
     assert np.isfinite(ratios).all()
     assert np.median(ratios) <= 1.06

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.bench.batch import compiled_scheme
 from companion.guidance.model import NEAR_M
 from companion.guidance.scheme import PROBE, REST, TRACK, UNKNOWN_M, Command, Knowledge, Scheme
 from companion.guidance.schemes import capture
 from companion.guidance.settings import GuidanceSettings
-
-from .compiled import compiled_scheme
 
 COMBINATIONS: list[dict[str, Any]] = [
     {"observer": "kalman", "controller": "lq"},

@@ -1,0 +1,152 @@
+"""The benchmark of the guidance: the compiled form is the flying form, and the report is what it says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.bench.batch import fly_many, fly_plain, fly_traced
+from companion.bench.cases import CASES
+from companion.bench.guidance import (
+    CONTENDERS,
+    SHORTEST,
+    UNAVAILABLE,
+    Report,
+    as_json,
+    bench_guidance,
+    table,
+    told_lag_s,
+)
+from companion.bench.pictures import plots
+from companion.bench.plant import Flight, Start
+from companion.guidance.settings import GuidanceSettings
+
+pytestmark = [pytest.mark.xdist_group("numba"), pytest.mark.timeout(300)]  # one worker compiles
+
+
+@pytest.mark.parametrize("name", CONTENDERS)
+@pytest.mark.parametrize("case", ["nominal", "stock"])
+def test_the_compiled_form_is_held_to_the_flying_one_sample_by_sample(name: str, case: str) -> None:
+    plant = CASES[case].plant._replace(limit_s=25.0)
+    flyer = CONTENDERS[name].make(GuidanceSettings(), told_lag_s(plant))
+    fast, trace = fly_traced(flyer, plant, Start(6.0, 2.0, 11))
+    plain, trace_plain = fly_plain(flyer, plant, Start(6.0, 2.0, 11))
+    assert len(trace) > 100
+    # where one looked at the same numbers, so did the other: no rounding has grown
+    np.testing.assert_allclose(trace, trace_plain, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(np.array(fast), np.array(plain), rtol=1e-6, atol=1e-6)
+
+
+PEERS = {  # captured at least, median ratio within
+    "matveev": (0.99, 1.05, 1.30),
+    "cao": (0.97, 1.03, 1.25),
+    "cochran-krstic": (0.95, 1.2, 1.6),
+    "turn-on-increase": (0.95, 1.3, 1.8),
+    "paper": (0.95, 1.5, 3.0),
+    "kalman-lq-paper": (0.99, 1.0, 1.06),
+    "lq-perfect": (1.0, 0.99, 1.005),
+}
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    return bench_guidance(cases=("nominal", "section-vii"), runs=200, seed=3)
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_the_peers_do_what_their_laws_can(report: Report, name: str) -> None:
+    row = next(r for r in report.rows if (r.case, r.scheme) == ("nominal", name))
+    captured, low, high = PEERS[name]
+    assert row.captured >= captured
+    assert row.ratio_median is not None
+    assert low <= row.ratio_median <= high
+
+
+def test_the_default_beats_every_peer(report: Report) -> None:
+    for case in ("nominal", "section-vii"):
+        extra = {r.scheme: r.extra_path_m for r in report.rows if r.case == case and r.captured == 1.0}
+        ours = extra.pop("companion")
+        assert ours is not None
+        for scheme, theirs in extra.items():
+            assert scheme in ("lq-perfect", SHORTEST) or (theirs is not None and ours < theirs)
+
+
+def test_the_same_seed_gives_the_same_flights(report: Report) -> None:
+    again = bench_guidance(cases=("nominal",), schemes=("companion",), runs=70, seed=3)
+    first = next(r for r in report.results if (r.row.case, r.row.scheme) == ("nominal", "companion"))
+    np.testing.assert_array_equal(again.results[0].flights, first.flights[:70])
+    other = bench_guidance(cases=("nominal",), schemes=("companion",), runs=70, seed=4)
+    assert (other.results[0].flights != first.flights[:70]).any()
+
+
+def test_every_scheme_is_held_to_the_same_bound(report: Report) -> None:
+    bounds = [
+        Flight(*r.flights.T).bound_m
+        for r in report.results
+        if r.row.case == "nominal" and r.row.scheme != SHORTEST
+    ]
+    for bound in bounds:
+        np.testing.assert_array_equal(bound, bounds[0])
+
+
+def test_progress_counts_up() -> None:
+    case = CASES["nominal"]
+    done: list[int] = []
+    flyer = CONTENDERS["companion"].make(GuidanceSettings(), 0.2)
+    flights = fly_many(flyer, case.plant, case.starts(120, 1), done.append)
+    assert np.isfinite(flights).all()
+    assert done == sorted(done)
+    assert done[-1] == 120
+
+
+def test_a_report_is_json_without_infinities(report: Report) -> None:
+    text = json.dumps(as_json(report), allow_nan=False)
+    read = json.loads(text)
+    assert len(read["rows"]) == 2 * (len(CONTENDERS) + 1)
+    assert read["not_available"] == UNAVAILABLE
+    assert {"captured", "ratio_median", "ratio_p95", "ratio_max", "extra_path_m", "smoothness"} <= set(
+        read["rows"][0]
+    )
+
+
+def test_the_table_names_every_scheme_and_what_is_missing(report: Report) -> None:
+    text = table(report)
+    assert max(len(line) for line in text.splitlines()) <= 150
+    for name in (*CONTENDERS, SHORTEST, "nominal: ", "section-vii: ", UNAVAILABLE):
+        assert name in text
+
+
+def test_a_scheme_that_never_captures_has_no_ratio() -> None:
+    report = bench_guidance(cases=("height-over",), schemes=("companion", "matveev"), runs=3)
+    assert "height-over" in table(report)
+    json.dumps(as_json(report), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"cases": ("hurricane",)}, "unknown case 'hurricane'; there are nominal"),
+        ({"schemes": ("guess",)}, "unknown scheme 'guess'; there are companion"),
+        ({"runs": 0}, "at least 1"),
+        ({"cases": ()}, "no case"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_by_name(keys: dict[str, tuple[str, ...]], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        bench_guidance(**keys)  # type: ignore[arg-type]
+
+
+def test_plots_are_written(report: Report, tmp_path: Path) -> None:
+    written = plots(report, tmp_path / "new")
+    assert {p.name for p in written} == {
+        "path_ratio.png",
+        "where.png",
+        "figure3.png",
+        "figure4.png",
+        "figure5.png",
+    }
+    for path in written:
+        assert path.read_bytes().startswith(b"\x89PNG")
