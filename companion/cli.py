@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -52,14 +53,7 @@ def _fly(args: argparse.Namespace) -> int:
     from companion.record import Recorder, start_now
     from companion.view import ViewKind, open_view
 
-    overrides = list(args.set)
-    if args.mavlink:
-        overrides.append(f"vehicle.mavlink={json.dumps(args.mavlink)}")
-    if args.zenoh_connect:
-        overrides.append(f"ranges.connect={json.dumps(args.zenoh_connect)}")
-    if args.zenoh_listen:
-        overrides.append(f"ranges.listen={json.dumps(args.zenoh_listen)}")
-    loaded = _load(args.config, overrides)
+    loaded = _load(args.config, _link_overrides(args))
     view = open_view(sys.stdout, ViewKind(args.view))
     path = args.record or Path("flights") / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
     recorder = Recorder.open(path, start_now(loaded.config, loaded.digest, loaded.sources))
@@ -84,6 +78,36 @@ def _replay(args: argparse.Namespace) -> int:
         raise _UsageError(str(error)) from error
     print(msgspec.json.encode(result).decode() if args.json else result.text())
     return Exit.OK if result.equal or settings is not None else Exit.DIFFERENT
+
+
+def _link_overrides(args: argparse.Namespace) -> list[str]:
+    """`--set`, then the options of the two links."""
+    overrides = list(args.set)
+    if args.mavlink:
+        overrides.append(f"vehicle.mavlink={json.dumps(args.mavlink)}")
+    if args.zenoh_connect:
+        overrides.append(f"ranges.connect={json.dumps(args.zenoh_connect)}")
+    if args.zenoh_listen:
+        overrides.append(f"ranges.listen={json.dumps(args.zenoh_listen)}")
+    return overrides
+
+
+def _check(args: argparse.Namespace) -> int:
+    from companion.check import check, text
+
+    loaded = _load(args.config, _link_overrides(args))
+    if sys.stderr.isatty():
+        print("looking and asking; nothing is moved ...", file=sys.stderr)
+    try:
+        report = check(loaded.config, args.patience)
+    except KeyboardInterrupt:
+        return Exit.INTERRUPTED
+    if args.json:
+        print(report.json().decode())
+    else:
+        width = min(shutil.get_terminal_size((110, 24)).columns, 120)
+        print(text(report, width, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ))
+    return Exit.OK if report.ready else Exit.NOT_READY
 
 
 def _sim(args: argparse.Namespace) -> int:
@@ -235,19 +259,7 @@ def _parser() -> argparse.ArgumentParser:
         _EXITS,
     )
     _config_options(fly)
-    fly.add_argument("--mavlink", metavar="URL", help="vehicle link; overrides vehicle.mavlink")
-    fly.add_argument(
-        "--zenoh-connect",
-        metavar="ENDPOINT",
-        action="append",
-        help="Zenoh endpoint; overrides ranges.connect; may be repeated",
-    )
-    fly.add_argument(
-        "--zenoh-listen",
-        metavar="ENDPOINT",
-        action="append",
-        help="listen here for beacons; overrides ranges.listen; may be repeated",
-    )
+    _link_options(fly)
     fly.add_argument(
         "--view",
         choices=("auto", "live", "plain", "json", "none"),
@@ -272,6 +284,25 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("file", metavar="FLIGHT.mcap", type=Path)
     _config_options(replay)
     replay.add_argument("--json", action="store_true", help="print one JSON object")
+
+    check = _command(
+        commands,
+        "check",
+        _check,
+        "look whether everything is there for a flight; nothing is moved",
+        "companion check --config config/capture.toml\n  companion check --config config/capture.toml --json",
+        _EXITS,
+    )
+    _config_options(check)
+    _link_options(check)
+    check.add_argument(
+        "--patience",
+        metavar="S",
+        type=_positive,
+        default=10.0,
+        help="wait so long for an autopilot, then for what it is asked (%(default)s)",
+    )
+    check.add_argument("--json", action="store_true", help="print one JSON object")
 
     sim = _command(
         commands,
@@ -389,6 +420,22 @@ def _config_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="override one value (file < environment COMPANION_TABLE__KEY < this); may be repeated",
+    )
+
+
+def _link_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--mavlink", metavar="URL", help="vehicle link; overrides vehicle.mavlink")
+    parser.add_argument(
+        "--zenoh-connect",
+        metavar="ENDPOINT",
+        action="append",
+        help="Zenoh endpoint; overrides ranges.connect; may be repeated",
+    )
+    parser.add_argument(
+        "--zenoh-listen",
+        metavar="ENDPOINT",
+        action="append",
+        help="listen here for beacons; overrides ranges.listen; may be repeated",
     )
 
 

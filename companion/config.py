@@ -91,6 +91,8 @@ def contradictions(c: Settings) -> list[str]:
         parse_url(c.vehicle.mavlink)
     except ValueError as error:
         problems.append(f"vehicle.mavlink = {error}")
+    if bool(c.vehicle.signing_key_file) != bool(c.vehicle.signing_state_file):
+        problems.append("vehicle.signing_key_file and vehicle.signing_state_file: either both or none")
     pairs = (
         ("guidance.speed_m_s", c.guidance.speed_m_s, "limits.speed_m_s", c.limits.speed_m_s),
         (

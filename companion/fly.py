@@ -14,6 +14,8 @@ import zenoh
 from companion import pilot
 from companion.exits import Exit
 from companion.link.mavlink import VehicleLink
+from companion.link.signing import SignedMavlink
+from companion.link.systemd import Notifier
 from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell, live
 from companion.record import Recorder
@@ -35,7 +37,12 @@ def fly(
             stack.callback(view.close)
             bell = Bell()
             stack.callback(bell.close)
-            vehicle = VehicleLink.open(settings.vehicle)
+            systemd = Notifier()
+            stack.callback(systemd.close)
+            signed = SignedMavlink.of(settings.vehicle)
+            if signed is not None:
+                stack.callback(signed.close)
+            vehicle = VehicleLink.open(settings.vehicle, signed)
             stack.callback(vehicle.close)
             ranges = RangeLink(settings.ranges, bell.ring)
             stack.callback(ranges.close)
@@ -44,6 +51,7 @@ def fly(
 
             def send(output: Output) -> None:
                 vehicle.send(output)
+                systemd.send(output)
                 if isinstance(output, Status):
                     view.show(output)
                     log.add(output)

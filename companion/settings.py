@@ -113,6 +113,25 @@ class VehicleSettings(Table, frozen=True):
     component_id: Annotated[
         int, Meta(ge=1, le=255, description="Our own component id (191: MAV_COMP_ID_ONBOARD_COMPUTER).")
     ] = 191
+    signing_key_file: Annotated[
+        str,
+        Meta(
+            description=(
+                "Key of a signed link: a file of 32 bytes, raw or hexadecimal, that others cannot read. "
+                "With it modes are believed from signed messages only. Empty: not signed."
+            )
+        ),
+    ] = ""
+    signing_state_file: Annotated[
+        str, Meta(description="Where the timestamps of a signed link are kept; writable, one for each key.")
+    ] = ""
+    signing_link_id: Annotated[
+        int, Meta(ge=0, le=255, description="Link id in our signatures; another one for each link.")
+    ] = 0
+    accept_unsigned: Annotated[
+        bool,
+        Meta(description="On a signed link: believe unsigned telemetry too (never a mode, nor a HEARTBEAT)."),
+    ] = False
     telemetry_rate_hz: Annotated[
         float, Meta(ge=5.0, le=200.0, description="Rate asked for attitude, position and mode.")
     ] = 50.0

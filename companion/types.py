@@ -82,6 +82,7 @@ class Defect(Enum):
     RANGE_FLOOD = "more ranges than can be read"
     MAVLINK_BYTES = "not MAVLink"
     MAVLINK_FIELD = "MAVLink field not finite"
+    MAVLINK_SIGNATURE = "MAVLink signature missing or wrong"
 
 
 # ---------------------------------------------------------------------------------------------- events

@@ -11,7 +11,7 @@ from companion.check import vehicle as vehicles
 from companion.check.ranges import RangeFindings
 from companion.check.report import CheckReport, Part, Row, State, text
 from companion.config import contradictions
-from companion.link.signing import SignedMavlink
+from companion.link.signing import SignedMavlink, SigningError
 from companion.link.survey import VehicleSurvey, open_ranges
 from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell
@@ -22,20 +22,25 @@ __all__ = ["CheckReport", "Part", "Row", "State", "check", "text"]
 _LOOK_S = 0.05
 
 
-def check(settings: Settings, patience_s: float, signed: SignedMavlink | None = None) -> CheckReport:
+def check(settings: Settings, patience_s: float) -> CheckReport:
     """Connect as a flight does, look and ask, and judge.
 
     `patience_s`: how long to wait for an autopilot, and from then on for all that it is asked for. With
-    everything there it takes about four seconds. `signed` speaks on a signed link; the caller closes it.
+    everything there it takes about four seconds.
     """
     rows: list[Row] = []
     with ExitStack() as stack:
         bell = Bell()
         stack.callback(bell.close)
-        survey = ranges = None
+        survey = ranges = signed = None
         try:
+            signed = SignedMavlink.of(settings.vehicle)
+            if signed is not None:
+                stack.callback(signed.close)
             survey = VehicleSurvey.open(settings.vehicle, signed)
             stack.callback(survey.close)
+        except SigningError as error:
+            rows.append(Row(Part.LINK, "signing", State.FAIL, str(error), "A signed link is asked for."))
         except (OSError, ValueError) as error:
             rows.append(_no_link(settings.vehicle.mavlink, error))
         try:

@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.link.signing import REFUSALS, SignedMavlink, is_signed
 from companion.link.transport import Transport, open_transport
 from companion.settings import VehicleSettings
 from companion.types import (
@@ -62,6 +63,9 @@ _IGNORE_VZ, _IGNORE_ACCELERATION, _IGNORE_YAW = 32, 64 | 128 | 256, 1024
 _MASK_HEIGHT_HELD = _IGNORE_XY | _IGNORE_VZ | _IGNORE_ACCELERATION | _IGNORE_YAW
 _MASK_VELOCITY = _IGNORE_XY | _IGNORE_Z | _IGNORE_ACCELERATION | _IGNORE_YAW
 
+_SIGNED_ONLY = frozenset({"HEARTBEAT", "CURRENT_MODE"})
+"""On a signed link these are believed with a verified signature only, whatever else is."""
+
 _MODE_RATE_HZ = 20.0
 _LANDED_RATE_HZ = 5.0
 
@@ -82,10 +86,14 @@ def heading_from_yaw(yaw_ned_rad: float) -> float:
 class VehicleLink:
     """One autopilot behind one transport. Single-threaded: only the loop calls it."""
 
-    def __init__(self, settings: VehicleSettings, transport: Transport) -> None:
+    def __init__(
+        self, settings: VehicleSettings, transport: Transport, signed: SignedMavlink | None = None
+    ) -> None:
+        """`signed`: for a signed link; the caller closes it."""
         self._settings = settings
         self._transport = transport
-        self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=settings.component_id)
+        self._is_signing = signed is not None
+        self._mav = signed or mavlink.MAVLink(None, srcSystem=1, srcComponent=settings.component_id)
         self._mav.robust_parsing = True
         self._target_system = settings.target_system
         self._wanted_hz = {
@@ -98,9 +106,9 @@ class VehicleLink:
         self._t_counted_ns = 0
 
     @classmethod
-    def open(cls, settings: VehicleSettings) -> VehicleLink:
+    def open(cls, settings: VehicleSettings, signed: SignedMavlink | None = None) -> VehicleLink:
         """Open the configured link. Raises ValueError (not a URL) or OSError (cannot be opened)."""
-        return cls(settings, open_transport(settings.mavlink))
+        return cls(settings, open_transport(settings.mavlink), signed)
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
@@ -124,7 +132,8 @@ class VehicleLink:
     def _event(self, m: Any, t_ns: int) -> Event | None:
         kind = m.get_type()
         if kind == "BAD_DATA":
-            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_BYTES, detail=str(m.reason)[:80])
+            defect = Defect.MAVLINK_SIGNATURE if m.reason in REFUSALS else Defect.MAVLINK_BYTES
+            return Malformed(t_ns=t_ns, defect=defect, detail=str(m.reason)[:80])
         system, component = m.get_srcSystem(), m.get_srcComponent()
         if component != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return None
@@ -133,6 +142,8 @@ class VehicleLink:
         decode = _DECODERS.get(kind)
         if decode is None:
             return None
+        if self._is_signing and kind in _SIGNED_ONLY and not is_signed(m):
+            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_SIGNATURE, detail=f"{kind} not signed")
         if self._target_system == 0:
             if kind != "HEARTBEAT":
                 return None

@@ -26,6 +26,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.settings import VehicleSettings
+
 KEY_BYTES = 32
 TICKS_1_S = 100_000
 """Timestamps count 10 µs."""
@@ -262,6 +264,19 @@ class SignedMavlink(mavlink.MAVLink):  # type: ignore[misc]
     ) -> SignedMavlink:
         """Read the key and take up the timestamps. Raises SigningError, in words for a person."""
         return cls(read_key(key_file), Timestamps(state_file), link_id, unsigned, source_component)
+
+    @classmethod
+    def of(cls, settings: VehicleSettings) -> SignedMavlink | None:
+        """For the configured link; None where it is not signed. Raises SigningError."""
+        if not settings.signing_key_file:
+            return None
+        return cls.open(
+            Path(settings.signing_key_file),
+            Path(settings.signing_state_file),
+            settings.signing_link_id,
+            Unsigned.ACCEPT if settings.accept_unsigned else Unsigned.REFUSE,
+            settings.component_id,
+        )
 
     def close(self) -> None:
         """Release the state file."""
