@@ -1,0 +1,234 @@
+"""Where to begin the fit: the beacons' possible places, mirror images included, and the stations they allow.
+
+Gauss-Newton finds the optimum next to its start, and there may be several: after little turning, a beacon to
+the left looks like one to the right. So every beacon alone is tried at all bearings; its two best places, and
+the two sides of the line through the beacons, make the starts; each is refined and the cheapest is the fit.
+All that in small portions, so that no step of the flight waits for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from companion.guidance.station_fit import (
+    TINY,
+    Common,
+    Fit,
+    Moments,
+    normal,
+    refine,
+    shape,
+)
+
+RING = 24
+"""Bearings tried at which a beacon may stand."""
+ROUNDS = 6
+"""Gauss-Newton steps from each start."""
+UNLIKELY = 20.0
+"""A hypothesis that costs this much more (half a χ²) is not followed."""
+FLIPS = 3
+"""So many beacons, those that are least certain, are tried at their second place too."""
+APART_M = 0.5
+"""Fits whose stations are closer than this are the same."""
+
+
+class Modes(NamedTuple):
+    """The best and, where there is one, the second best place of a beacon taken alone, and their costs."""
+
+    bx: float
+    by: float
+    cost: float
+    other_bx: float
+    other_by: float
+    other_cost: float
+
+
+def modes(m: Moments, x: float, y: float, range_m: float, drift_sigma: float) -> Modes:
+    """Try a ring of bearings around the vehicle, distance and drift free at each; its two lowest minima.
+
+    This is where the mirror image shows: after little turning, the minima to both sides are as deep.
+    """
+    prior = 1.0 / (drift_sigma * drift_sigma)
+    places: list[tuple[float, float, float]] = []
+    for i in range(RING):
+        a = 2.0 * math.pi * i / RING
+        ux, uy = math.cos(a), math.sin(a)
+        bx, by = x + range_m * ux, y + range_m * uy
+        n = normal(m, bx, by, 0.0, 0.0)
+        # Newton's step over (distance, drift)
+        g = n.gbx * ux + n.gby * uy
+        h = n.axx * ux * ux + 2.0 * n.axy * ux * uy + n.ayy * uy * uy + TINY
+        f1 = -n.hxx * ux - n.hxy * uy
+        f2 = -n.hxy * ux - n.hyy * uy
+        s11 = n.cxx + prior - f1 * f1 / h
+        s12 = n.cxy - f1 * f2 / h
+        s22 = n.cyy + prior - f2 * f2 / h
+        g1 = n.gwx - f1 * g / h
+        g2 = n.gwy - f2 * g / h
+        det = s11 * s22 - s12 * s12
+        w1 = -(s22 * g1 - s12 * g2) / det
+        w2 = -(s11 * g2 - s12 * g1) / det
+        out = -(g + f1 * w1 + f2 * w2) / h
+        cost = n.cost - 0.5 * g * g / h + 0.5 * (g1 * w1 + g2 * w2)
+        places.append((cost, bx + out * ux, by + out * uy))
+    minima = sorted(
+        place for i, place in enumerate(places) if place <= min(places[i - 1], places[(i + 1) % RING])
+    )
+    best = minima[0]
+    other = minima[1] if len(minima) > 1 else (math.inf, best[1], best[2])
+    return Modes(best[1], best[2], best[0], other[1], other[2], other[0])
+
+
+def trilaterate(beacons: Sequence[tuple[float, float]], distances: Sequence[float]) -> tuple[float, float]:
+    """The point at these distances from the beacons, from the differences of their equations (which are
+    linear): (b_i − b̄)·p = ½(|b_i|² − d_i² − mean)."""
+    n = len(beacons)
+    mx = sum(b[0] for b in beacons) / n
+    my = sum(b[1] for b in beacons) / n
+    terms = [
+        0.5 * ((b[0] - mx) ** 2 + (b[1] - my) ** 2 - d * d) for b, d in zip(beacons, distances, strict=True)
+    ]
+    mean = sum(terms) / n
+    sxx = sxy = syy = rx = ry = 0.0
+    for (bx, by), term in zip(beacons, terms, strict=True):
+        dx, dy, e = bx - mx, by - my, term - mean
+        sxx += dx * dx
+        sxy += dx * dy
+        syy += dy * dy
+        rx += dx * e
+        ry += dy * e
+    # beacons nearly in a line say little across it: a ridge keeps the point near their middle
+    ridge = 1e-3 * (sxx + syy) + TINY
+    sxx += ridge
+    syy += ridge
+    det = sxx * syy - sxy * sxy
+    return mx + (syy * rx - sxy * ry) / det, my + (sxx * ry - sxy * rx) / det
+
+
+def stations(beacons: Sequence[tuple[float, float]], distances: Sequence[float]) -> list[tuple[float, float]]:
+    """Where the station may be, to start from: the trilaterated point, and its mirror image in the line of
+    the beacons where they lie not far from one."""
+    px, py = trilaterate(beacons, distances)
+    of = shape(beacons)
+    # nearly collinear: the point's distance from the line follows from the ranges, not its side
+    along = (px - of.x) * of.ux + (py - of.y) * of.uy
+    off = 0.0
+    for (bx, by), d in zip(beacons, distances, strict=True):
+        gap = (bx - of.x) * of.ux + (by - of.y) * of.uy - along
+        off += math.sqrt(max(d * d - gap * gap, 0.0)) / len(beacons)
+    fx, fy = of.x + along * of.ux, of.y + along * of.uy
+    return [(fx - off * of.uy, fy + off * of.ux), (fx + off * of.uy, fy - off * of.ux)]
+
+
+class Candidate(NamedTuple):
+    """A beacon that takes part: its number, what its ranges say, d*, and its possible places."""
+
+    number: int
+    moments: Moments
+    distance: float
+    modes: Modes
+
+
+class Start(NamedTuple):
+    """A station and places of the beacons to begin from."""
+
+    px: float
+    py: float
+    beacons: tuple[tuple[float, float], ...]
+
+
+class Search(NamedTuple):
+    """How far a search has come: candidates first (`looked` beacons so far), then fits from all starts."""
+
+    looked: int
+    candidates: tuple[Candidate, ...]
+    starts: tuple[Start, ...]
+    fits: tuple[Fit, ...]
+
+    @property
+    def is_done(self) -> bool:
+        """True once every start has been tried."""
+        return 0 < len(self.starts) == len(self.fits)
+
+
+NEW = Search(0, (), (), ())
+
+
+def look(search: Search, found: Candidate | None) -> Search:
+    """One more beacon has been looked at, or had nothing to show."""
+    candidates = search.candidates if found is None else (*search.candidates, found)
+    return Search(search.looked + 1, candidates, (), ())
+
+
+def plan(search: Search) -> Search:
+    """All beacons have been looked at: list the starts, the most probable first.
+
+    The moments are those of the moment at which each beacon was looked at: costs compare on the same data.
+    """
+    starts = []
+    distances = [c.distance for c in search.candidates]
+    for beacons in combinations([c.modes for c in search.candidates]):
+        starts += [Start(px, py, tuple(beacons)) for px, py in stations(beacons, distances)]
+    return Search(search.looked, search.candidates, tuple(starts), ())
+
+
+def attempt(search: Search, drift_sigma: float) -> Search:
+    """Fit from the next start."""
+    start = search.starts[len(search.fits)]
+    return Search(
+        search.looked,
+        search.candidates,
+        search.starts,
+        (*search.fits, again(search, Common(start.px, start.py, 0.0, 0.0), start.beacons, drift_sigma)),
+    )
+
+
+def again(search: Search, u: Common, beacons: Sequence[tuple[float, float]], drift_sigma: float) -> Fit:
+    """Fit the candidates from a given start."""
+    moments = [c.moments for c in search.candidates]
+    return refine(moments, [c.distance for c in search.candidates], u, beacons, drift_sigma, ROUNDS)
+
+
+def result(search: Search) -> tuple[Fit, float]:
+    """The best fit, and how much more the next best *other* station costs (half a χ²; infinite: none)."""
+    fits = sorted(search.fits, key=_cost)
+    best = fits[0]
+    for other in fits[1:]:
+        if math.hypot(other.at.u.px - best.at.u.px, other.at.u.py - best.at.u.py) > APART_M:
+            return best, other.cost - best.cost
+    return best, math.inf
+
+
+def _cost(of: Fit) -> float:
+    return of.cost
+
+
+def combinations(places: Sequence[Modes]) -> list[list[tuple[float, float]]]:
+    """Every beacon at its best place; and those that are least certain flipped, in all combinations."""
+    best = [(m.bx, m.by) for m in places]
+    gaps = sorted((m.other_cost - m.cost, i) for i, m in enumerate(places))
+    flips = [i for gap, i in gaps[:FLIPS] if gap < UNLIKELY]
+    chosen = []
+    for mask in range(1 << len(flips)):
+        beacons = list(best)
+        for bit, i in enumerate(flips):
+            if mask >> bit & 1:
+                beacons[i] = (places[i].other_bx, places[i].other_by)
+        chosen.append(beacons)
+    return chosen
+
+
+def on_circle(m: Moments, px: float, py: float, distance: float) -> tuple[float, float] | None:
+    """Where a beacon is that is `distance` from a known station, from ranges taken at known places; None
+    while that is open."""
+    places = []
+    for i in range(4 * RING):
+        a = 0.5 * math.pi * i / RING
+        bx, by = px + distance * math.cos(a), py + distance * math.sin(a)
+        places.append((normal(m, bx, by, 0.0, 0.0).cost, bx, by))
+    minima = sorted(p for i, p in enumerate(places) if p <= min(places[i - 1], places[(i + 1) % len(places)]))
+    if len(minima) > 1 and minima[1][0] - minima[0][0] < UNLIKELY:
+        return None
+    return minima[0][1], minima[0][2]
