@@ -21,7 +21,7 @@ class Exit(IntEnum):
 
 
 MEANING = {
-    Exit.OK: "done; for fly and demo: the target was captured",
+    Exit.OK: "done; for fly and demo: the target was captured; for check: ready to fly",
     Exit.USAGE: "wrong command line or configuration",
     Exit.NO_VEHICLE: "no telemetry from an autopilot within loss.wait_s",
     Exit.NO_RANGES: "no usable ranges within loss.wait_s",

@@ -102,5 +102,10 @@ def text(report: CheckReport, width: int = 110, colour: bool = False) -> str:
 def _wrap(words: str, width: int, mark: str = "") -> list[str]:
     words = "".join(c if c.isprintable() else " " for c in words)  # ids come from the wire
     return textwrap.wrap(
-        words, max(width, 30), initial_indent=mark, subsequent_indent=" " * len(mark), break_long_words=False
+        words,
+        max(width, 30),
+        initial_indent=mark,
+        subsequent_indent=" " * len(mark),
+        break_long_words=False,
+        break_on_hyphens=False,  # a path is to be copied
     )
