@@ -35,15 +35,20 @@ PAPER_POLE_RAD_S = 0.5
 """The λ with which the paper's observer gets along best from any start with ranges that reflect."""
 
 
+def told_lag_s(plant: Plant) -> float:
+    """The lag that a person would measure and configure: the time to 63 % of a step, dead time included."""
+    return plant.yaw_rate_lag_s + plant.yaw_rate_dead_s
+
+
 class Contender(NamedTuple):
-    """A scheme under a name; `make` puts it together for a vehicle with the given lag of the yaw rate."""
+    """A scheme under a name; `make` puts it together for the vehicle of a plant."""
 
     name: str
     text: str
-    make: Callable[[GuidanceSettings, float], Flyer]
+    make: Callable[[GuidanceSettings, Plant], Flyer]
 
 
-def _paper(settings: GuidanceSettings, lag_s: float) -> Flyer:
+def _paper(settings: GuidanceSettings, plant: Plant) -> Flyer:
     paper = msgspec.structs.replace(
         settings,
         observer="luenberger",
@@ -51,10 +56,10 @@ def _paper(settings: GuidanceSettings, lag_s: float) -> Flyer:
         luenberger_pole_rad_s=PAPER_POLE_RAD_S,
         initial_bearing_rad=None,
     )
-    return Flyer(capture(paper, lag_s))
+    return Flyer(capture(paper, told_lag_s(plant)))
 
 
-def paper_with_bearing(settings: GuidanceSettings, lag_s: float) -> Flyer:
+def paper_with_bearing(settings: GuidanceSettings, plant: Plant) -> Flyer:
     """The paper's scheme as in its Section VII: told the true initial bearing of that start, λ = 0.2."""
     paper = msgspec.structs.replace(
         settings,
@@ -63,36 +68,40 @@ def paper_with_bearing(settings: GuidanceSettings, lag_s: float) -> Flyer:
         luenberger_pole_rad_s=0.2,
         initial_bearing_rad=SECTION_VII[1],
     )
-    return Flyer(capture(paper, lag_s))
+    return Flyer(capture(paper, told_lag_s(plant)))
 
 
-def _kalman_lq_paper(settings: GuidanceSettings, lag_s: float) -> Flyer:
+def _kalman_lq_paper(settings: GuidanceSettings, plant: Plant) -> Flyer:
     mixed = msgspec.structs.replace(
         settings, observer="kalman", controller="lq-paper", initial_bearing_rad=None
     )
-    return Flyer(capture(mixed, lag_s))
+    return Flyer(capture(mixed, told_lag_s(plant)))
 
 
 CONTENDERS: dict[str, Contender] = {
     contender.name: contender
     for contender in (
-        Contender("companion", "as configured; the default", lambda g, lag: Flyer(capture(g, lag))),
+        Contender(
+            "companion", "as configured; the default", lambda g, plant: Flyer(capture(g, told_lag_s(plant)))
+        ),
         Contender("kalman-lq-paper", "Kalman filter on the lift, the paper's LQ law", _kalman_lq_paper),
         Contender("paper", f"Luenberger observer (λ = {PAPER_POLE_RAD_S}), the paper's LQ law", _paper),
-        Contender("matveev", "sliding mode, Automatica 2011", lambda g, lag: Flyer(peers.matveev(g))),
-        Contender("cao", "range-rate law, Automatica 2015", lambda g, lag: Flyer(peers.cao(g))),
+        Contender("matveev", "sliding mode, Automatica 2011", lambda g, plant: Flyer(peers.matveev(g))),
+        Contender("cao", "range-rate law, Automatica 2015", lambda g, plant: Flyer(peers.cao(g))),
         Contender(
-            "cochran-krstic", "extremum seeking, IEEE TAC 2009", lambda g, lag: Flyer(peers.cochran_krstic(g))
+            "cochran-krstic",
+            "extremum seeking, IEEE TAC 2009",
+            lambda g, plant: Flyer(peers.cochran_krstic(g)),
         ),
         Contender(
             "turn-on-increase",
             "π/2 when the range grows, Sensors 2025",
-            lambda g, lag: Flyer(peers.turn_on_increase(g)),
+            lambda g, plant: Flyer(peers.turn_on_increase(g)),
         ),
         Contender(
             "lq-perfect",
             "limit: LQ with the true state",
-            lambda g, lag: Flyer(peers.perfect(g, lag), peers.perfect_tell),
+            lambda g, plant: Flyer(peers.perfect(g, told_lag_s(plant)), peers.perfect_tell),
         ),
     )
 }
@@ -178,7 +187,7 @@ def bench_guidance(
         for name in cases:
             case = CASES[name]
             plant, starts = case.for_settings(settings), case.starts(runs, seed)
-            flyer = CONTENDERS[scheme].make(settings, told_lag_s(plant))
+            flyer = CONTENDERS[scheme].make(settings, plant)
             progress(f"compiling {scheme} (some seconds, once)", done, total)
             began = time.perf_counter()
             batch.prepare(flyer)
@@ -205,11 +214,6 @@ def _check(names: Sequence[str], known: dict[str, Any], what: str) -> None:
     for name in names:
         if name not in known:
             raise ValueError(f"unknown {what} {name!r}; there are {', '.join(known)}")
-
-
-def told_lag_s(plant: Plant) -> float:
-    """The lag that a person would measure and configure: the time to 63 % of a step, dead time included."""
-    return plant.yaw_rate_lag_s + plant.yaw_rate_dead_s
 
 
 def _row(case: str, scheme: str, flights: Floats, radius_m: float) -> Row:

@@ -101,7 +101,7 @@ def _draw_ratios(axis: Axes, result: Result) -> None:
     ratio = np.sort(f.path_m / np.maximum(f.bound_m, 1e-9))
     name = result.row.scheme
     axis.step(
-        [0.0, *np.clip(ratio - 1.0, 1e-4, 1e3)],
+        [0.0, *np.clip(ratio - 1.0, RATIOS[0] - 1.0, 1e3)],
         np.arange(len(ratio) + 1) / len(ratio),
         where="post",
         color=COLOURS.get(name),
@@ -187,9 +187,12 @@ def _examples(report: Report) -> dict[str, Example]:
         limit_s=120.0,
     )
     flyers = {
-        "companion": ("the default, bearing unknown", CONTENDERS["companion"].make(report.settings, 0.0)),
-        "paper": ("the paper's scheme, told the bearing", paper_with_bearing(report.settings, 0.0)),
-        "lq-perfect": ("limit: LQ with the true state", CONTENDERS["lq-perfect"].make(report.settings, 0.0)),
+        "companion": ("the default, bearing unknown", CONTENDERS["companion"].make(report.settings, plant)),
+        "paper": ("the paper's scheme, told the bearing", paper_with_bearing(report.settings, plant)),
+        "lq-perfect": (
+            "limit: LQ with the true state",
+            CONTENDERS["lq-perfect"].make(report.settings, plant),
+        ),
     }
     return {
         name: _example(label, COLOURS[name], flyer, plant, report.seed)

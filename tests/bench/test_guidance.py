@@ -18,7 +18,6 @@ from companion.bench.guidance import (
     as_json,
     bench_guidance,
     table,
-    told_lag_s,
 )
 from companion.bench.pictures import plots
 from companion.bench.plant import Flight, Start
@@ -31,7 +30,7 @@ pytestmark = [pytest.mark.xdist_group("numba"), pytest.mark.timeout(300)]  # one
 @pytest.mark.parametrize("case", ["nominal", "stock"])
 def test_the_compiled_form_is_held_to_the_flying_one_sample_by_sample(name: str, case: str) -> None:
     plant = CASES[case].plant._replace(limit_s=25.0)
-    flyer = CONTENDERS[name].make(GuidanceSettings(), told_lag_s(plant))
+    flyer = CONTENDERS[name].make(GuidanceSettings(), plant)
     fast, trace = fly_traced(flyer, plant, Start(6.0, 2.0, 11))
     plain, trace_plain = fly_plain(flyer, plant, Start(6.0, 2.0, 11))
     assert len(trace) > 100
@@ -95,7 +94,7 @@ def test_every_scheme_is_held_to_the_same_bound(report: Report) -> None:
 def test_progress_counts_up() -> None:
     case = CASES["nominal"]
     done: list[int] = []
-    flyer = CONTENDERS["companion"].make(GuidanceSettings(), 0.2)
+    flyer = CONTENDERS["companion"].make(GuidanceSettings(), case.plant)
     flights = fly_many(flyer, case.plant, case.starts(120, 1), done.append)
     assert np.isfinite(flights).all()
     assert done == sorted(done)
