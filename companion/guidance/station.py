@@ -39,6 +39,10 @@ AMBIGUOUS = 3.0
 """A second station is still possible where it costs less than this more (half a χ²)."""
 IN_LINE = 0.1
 """Beacons whose spread across their line is less than this part of the spread along it lie in a line."""
+CLOSE_M = 2.0
+"""So close to where the station seems to be, beacons that still seem to lie in a line do."""
+KEEP_AFTER_S = 10.0
+"""A map is not kept sooner: an early fit may be a wrong one that is sure of itself."""
 PATIENCE_S = 5.0
 """After this long without enough beacons that is told as a problem."""
 LOOKS, FITS = 3, 18
@@ -65,19 +69,13 @@ class Problem(IntEnum):
 
 
 class Parameters(NamedTuple):
-    """The settings as floats; `distances` d_i* by beacon number."""
+    """What stays the same; `distances` d_i* by beacon number."""
 
     distances: tuple[float, ...]
     law: Law
+    keeping: StationSettings
     first_turn: float
     gate_sigma: float
-    drift_sigma: float
-    probe_turn_s: float
-    probe_sigma: float
-    search_max_s: float
-    memory_s: float
-    map_sigma: float
-    refit_s: float
 
 
 class Beacon(NamedTuple):
@@ -196,7 +194,7 @@ def update(
         * (1.0 + off * off / (6.25 * variance))
     )
     x, y, t = (s.pose.x, s.pose.y, 0.0) if s.mode == Mode.KEEP else (s.x, s.y, s.t)
-    keep = 1.0 - min(dt / p.memory_s, 0.5)
+    keep = 1.0 - min(dt / p.keeping.memory_s, 0.5)
     m = station_fit.accumulate(b.moments, keep, weight, x, y, t, z - 0.5 * (x * x + y * y))
     bx, by, block = b.bx, b.by, b.block
     if s.mode == Mode.FOLLOW and b.located:
@@ -227,7 +225,8 @@ def _reject(p: Parameters, s: Station, beacon: int) -> Station:
         # its ranges have jumped; what they said before holds
         return s._replace(beacons=_with(s.beacons, beacon, b._replace(seen=0, rejected=0.0)))
     others = [o for i, o in enumerate(s.beacons) if i != beacon and o.located and s.t - o.t < FRESH_S]
-    if len(others) < 2 or 2 * sum(o.rejected > 0.4 for o in others) > len(others):
+    doubted = 2 * sum(o.rejected > 0.4 for o in others) > len(others)
+    if len(others) < 2 or doubted or (len(others) < NEEDED and not s.stay.is_there):
         return _fresh(p, s.turn)
     return s._replace(beacons=_with(s.beacons, beacon, _UNSEEN))
 
@@ -271,20 +270,19 @@ def _situation(s: Station) -> Situation:
 
 def _search(p: Parameters, s: Station) -> Station:
     """Fit again and again while turning, until the station is known well enough to fly to it."""
-    if s.t < 0.5 * p.probe_turn_s:
+    if s.t < 0.5 * p.keeping.probe_turn_s:
         return s
     s = _advance(p, s, LOOKS, max(1, FITS // len(s.beacons)))
     if not s.search.is_done:
         return s
     best, gap = station_search.result(s.search)
     s = s._replace(at=best.at)
-    late = s.t > p.search_max_s
+    late = s.t > p.keeping.search_max_s
     known = _knowledge(s)
-    if s.t < p.probe_turn_s or (not late and (known.sigma_theta_rad > p.probe_sigma or gap < AMBIGUOUS)):
+    if s.t < p.keeping.probe_turn_s or (
+        not late and (known.sigma_theta_rad > p.keeping.probe_sigma_rad or gap < AMBIGUOUS)
+    ):
         return s._replace(search=station_search.NEW)
-    of = station_fit.shape(best.beacons)
-    if late and gap < AMBIGUOUS and of.across_m < IN_LINE * of.along_m:
-        return s._replace(problem=Problem.COLLINEAR)
     return _adopt(s, best)._replace(mode=Mode.FOLLOW, t_refit=0.0)
 
 
@@ -297,7 +295,7 @@ def _advance(p: Parameters, s: Station, looks: int, fits: int) -> Station:
             b = s.beacons[i]
             found = None
             if b.moments.one > 0.0:
-                places = station_search.modes(b.moments, s.x, s.y, b.range_m, p.drift_sigma)
+                places = station_search.modes(b.moments, s.x, s.y, b.range_m, p.keeping.drift_sigma_m_s)
                 found = station_search.Candidate(i, b.moments, p.distances[i], places)
             search = station_search.look(search, found)
         return s._replace(search=search)
@@ -306,7 +304,7 @@ def _advance(p: Parameters, s: Station, looks: int, fits: int) -> Station:
     if not search.starts:
         search = station_search.plan(search)
     for _ in range(min(fits, len(search.starts) - len(search.fits))):
-        search = station_search.attempt(search, p.drift_sigma)
+        search = station_search.attempt(search, p.keeping.drift_sigma_m_s)
     return s._replace(search=search)
 
 
@@ -322,7 +320,7 @@ def _adopt(s: Station, fit: Fit) -> Station:
 
 def _follow(p: Parameters, s: Station) -> Station:
     """Improve the fit; now and then look for a better one elsewhere; keep the map once it is good enough."""
-    at = station_fit.solve([b.block for b in s.beacons], p.drift_sigma)
+    at = station_fit.solve([b.block for b in s.beacons], p.keeping.drift_sigma_m_s)
     s = s._replace(at=at)
     if s.t < s.t_refit:
         return s
@@ -334,12 +332,18 @@ def _follow(p: Parameters, s: Station) -> Station:
     for c in s.search.candidates:
         b = s.beacons[c.number]
         places.append(station_fit.place(b.block, at.u) if b.located else (c.modes.bx, c.modes.by))
-    now = station_search.again(s.search, at.u, places, p.drift_sigma)
+    now = station_search.again(s.search, at.u, places, p.keeping.drift_sigma_m_s)
     moves = best.cost < now.cost - 1.0
-    s = _adopt(s, best if moves else now)._replace(t_refit=s.t + p.refit_s)
+    taken = best if moves else now
+    image = station_search.image(s.search, taken, p.keeping.drift_sigma_m_s)
+    s = _adopt(s, taken)._replace(t_refit=s.t + p.keeping.refit_s)
     known = _knowledge(s)
     sigma_m = math.hypot(known.sigma_d_m, known.sigma_theta_rad * max(known.d_m, 0.3))
-    if (moves and gap < station_search.UNLIKELY) or sigma_m > p.map_sigma:
+    of = station_fit.shape(taken.beacons)
+    if image.cost - taken.cost < AMBIGUOUS and of.across_m < IN_LINE * of.along_m:
+        # on the way more is learnt of how they lie
+        return s._replace(problem=Problem.COLLINEAR) if known.d_m < CLOSE_M else s
+    if s.t < KEEP_AFTER_S or gap < station_search.UNLIKELY or sigma_m > p.keeping.map_sigma_m:
         return s
     a, t = s.at, s.t
     speed = math.hypot(s.vx, s.vy) + 1e-3
@@ -359,7 +363,7 @@ def _keep(p: Parameters, s: Station) -> Station:
     """Once a second: place beacons that have come, and put the station where the ranges of the beacons heard
     now will be the distances given, whatever the map's errors."""
     u = s.at.u
-    if math.hypot(s.pose.wx, s.pose.wy) > 4.0 * p.drift_sigma:
+    if math.hypot(s.pose.wx, s.pose.wy) > 3.0 * p.keeping.drift_sigma_m_s:
         # there is no such drift: the map is wrong
         return _fresh(p, s.turn)
     places, distances, weights = [], [], []
@@ -439,17 +443,6 @@ def station(
         r=settings.lq_r,
         can_stop=keeping.can_stop,
     )
-    p = Parameters(
-        distances=distances_m,
-        law=law,
-        first_turn=1.0 if settings.first_turn == "left" else -1.0,
-        gate_sigma=settings.kalman_gate_sigma,
-        drift_sigma=keeping.drift_sigma_m_s,
-        probe_turn_s=keeping.probe_turn_s,
-        probe_sigma=keeping.probe_sigma_rad,
-        search_max_s=keeping.search_max_s,
-        memory_s=keeping.memory_s,
-        map_sigma=keeping.map_sigma_m,
-        refit_s=keeping.refit_s,
-    )
+    first_turn = 1.0 if settings.first_turn == "left" else -1.0
+    p = Parameters(distances_m, law, keeping, first_turn, settings.kalman_gate_sigma)
     return Scheme(p, initial, predict, update, command, knowledge)

@@ -47,13 +47,21 @@ def integral_gains(d_m: float, theta_rad: float, v_m_s: float, q: float, r: floa
 
 def _stable(c2: float, c1: float, c0: float) -> tuple[float, float, float]:
     """p2, p1, p0 of ∏(s + √X_i) over the roots X_i of X³ + c2 X² + c1 X + c0, c0 < 0, Re √X_i > 0."""
-    # a positive root exists as c0 < 0; Newton's method from above it converges monotonically
-    x = 1.0 + max(abs(c2), math.sqrt(abs(c1)), abs(c0) ** (1.0 / 3.0)) * 2.0
-    for _ in range(100):
+    # a positive root lies between 0, where the polynomial is c0 < 0, and Fujiwara's bound: Newton's method,
+    # halving the interval where that leads out of it
+    low, high = 0.0, 2.0 * max(abs(c2), math.sqrt(abs(c1)), abs(c0) ** (1.0 / 3.0))
+    x = high
+    for _ in range(200):
         f = ((x + c2) * x + c1) * x + c0
+        if f > 0.0:
+            high = x
+        else:
+            low = x
         slope = (3.0 * x + 2.0 * c2) * x + c1
-        after = x - f / slope
-        if not 0.0 < after < x:
+        after = x - f / slope if slope > 0.0 else low
+        if not low < after < high:
+            after = 0.5 * (low + high)
+        if abs(after - x) <= 1e-16 * x:
             break
         x = after
     # the other two: X² + u X + g, with square roots z, z' : z z' = √g, (z + z')² = 2 √g − u

@@ -191,6 +191,15 @@ def again(search: Search, u: Common, beacons: Sequence[tuple[float, float]], dri
     return refine(moments, [c.distance for c in search.candidates], u, beacons, drift_sigma, ROUNDS)
 
 
+def image(search: Search, of: Fit, drift_sigma: float) -> Fit:
+    """The fit with the station on the other side of the line through the beacons; it costs the same where
+    they lie in one."""
+    u, line = of.at.u, shape(of.beacons)
+    off = 2.0 * ((u.px - line.x) * line.uy - (u.py - line.y) * line.ux)
+    mirrored = Common(u.px - off * line.uy, u.py + off * line.ux, u.wx, u.wy)
+    return again(search, mirrored, of.beacons, drift_sigma)
+
+
 def result(search: Search) -> tuple[Fit, float]:
     """The best fit, and how much more the next best *other* station costs (half a χ²; infinite: none)."""
     fits = sorted(search.fits, key=_cost)

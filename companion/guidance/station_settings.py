@@ -23,7 +23,7 @@ class StationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     probe_sigma_rad: Annotated[float, Meta(gt=0.0, le=math.pi)] = 0.3
     """It goes on turning while one sigma of the station's bearing is above this."""
     search_max_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 12.0
-    """After this long it takes the most probable station, or finds that the beacons lie in a line."""
+    """After this long it takes the most probable station, ambiguous or not."""
     memory_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 30.0
     """Time constant with which old ranges are forgotten while the beacons are being located."""
     map_sigma_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.3

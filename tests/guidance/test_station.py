@@ -1,0 +1,147 @@
+"""The default for station keeping, in closed loop: arrives, stays, and says when it cannot."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.guidance.model import shortest_path_m
+from companion.guidance.scheme import Scheme
+from companion.guidance.settings import GuidanceSettings
+from companion.guidance.station import Mode, Problem, Station, station
+from companion.guidance.station_settings import StationSettings
+
+from .station_plant import Air, Field, Stayed, fly, random_field
+
+SQUARE = Field((12.0, 5.0), ((18.0, 4.0), (9.0, 10.0), (10.0, 0.0), (6.0, 3.0)))
+TRIANGLE = SQUARE._replace(beacons=SQUARE.beacons[:3])
+
+
+def scheme_for(field: Field, **keys: object) -> Scheme:
+    keeping = msgspec.convert(keys, StationSettings)
+    return station(GuidanceSettings(), keeping, field.distances_m, 0.2, 0.3)
+
+
+def state_of(flight: Stayed) -> Station:
+    assert isinstance(flight.state, Station)
+    return flight.state
+
+
+def flights(count: int, seed: int, air: Air) -> tuple[list[Stayed], list[float]]:
+    rng = random.Random(seed)
+    flown, ratios = [], []
+    for k in range(count):
+        field = random_field(rng)
+        air = air._replace(drift_azimuth_rad=rng.uniform(-math.pi, math.pi))
+        flown.append(fly(scheme_for(field), field, seed * 1000 + k, air))
+        sx, sy = field.station
+        bound = shortest_path_m(math.hypot(sx, sy), -math.atan2(sy, sx), air.radius_m, 0.5, 1.0)
+        ratios.append(flown[-1].path_m / bound)
+    return flown, ratios
+
+
+def test_it_arrives_and_stays_from_anywhere() -> None:
+    flown, ratios = flights(20, 1, Air())
+    assert all(f.worst_m <= 0.3 for f in flown), [f[:4] for f in flown]
+    assert np.median(ratios) <= 1.12
+    assert max(ratios) <= 2.5
+    assert math.sqrt(np.mean([f.rms_m**2 for f in flown])) <= 0.06
+
+
+def test_it_arrives_and_stays_against_an_unknown_drift() -> None:
+    flown, _ = flights(20, 2, Air(drift_m_s=0.2))
+    assert all(f.worst_m <= 0.3 for f in flown), [f[:4] for f in flown]
+    assert math.sqrt(np.mean([f.rms_m**2 for f in flown])) <= 0.11
+
+
+def test_a_beacon_lost_on_the_way_leaves_enough() -> None:
+    flight = fly(scheme_for(SQUARE), SQUARE, 5, Air(), heard=lambda i, t: i != 1 or t < 8.0)
+    assert flight.worst_m <= 0.3
+
+
+def test_a_beacon_that_comes_late_is_placed() -> None:
+    flight = fly(scheme_for(SQUARE), SQUARE, 6, Air(), heard=lambda i, t: i != 1 or t > 10.0)
+    assert flight.worst_m <= 0.3
+    assert state_of(flight).beacons[1].located
+
+
+def test_many_beacons() -> None:
+    field = random_field(random.Random(7), 12)
+    assert fly(scheme_for(field), field, 7, Air(drift_m_s=0.1)).worst_m <= 0.3
+
+
+def test_fewer_than_three_beacons_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 3"):
+        station(GuidanceSettings(), StationSettings(), (3.0, 4.0), 0.2, 0.3)
+
+
+def test_too_few_heard_beacons_are_named_and_nothing_moves() -> None:
+    speeds = []
+    flight = fly(
+        scheme_for(TRIANGLE),
+        TRIANGLE,
+        8,
+        Air(limit_s=10.0),
+        heard=lambda i, t: i != 2,
+        watch=lambda t, d, v, omega: speeds.append(v),
+    )
+    assert state_of(flight).problem == Problem.TOO_FEW
+    assert max(speeds) == 0.0
+
+
+def test_beacons_in_a_line_are_named_and_refused() -> None:
+    field = Field((9.0, 6.0), ((5.0, 2.0), (9.0, 2.0), (14.0, 2.0)))
+    flight = fly(scheme_for(field), field, 9, Air(limit_s=40.0))
+    assert flight.time_s == math.inf
+    assert state_of(flight).problem == Problem.COLLINEAR
+
+
+def test_all_beacons_gone_at_the_station_stops_the_vehicle() -> None:
+    speeds: list[float] = []
+    flight = fly(
+        scheme_for(TRIANGLE),
+        TRIANGLE,
+        10,
+        Air(limit_s=90.0, hold_s=60.0, drift_m_s=0.1),
+        heard=lambda i, t: t < 60.0,
+        watch=lambda t, d, v, omega: speeds.append(v) if t > 65.0 else None,
+    )
+    assert state_of(flight).mode == Mode.KEEP
+    assert state_of(flight).problem == Problem.TOO_FEW
+    assert max(speeds) == 0.0
+
+
+def test_a_vehicle_that_cannot_stop_circles_closely() -> None:
+    seen: list[tuple[float, float, float]] = []
+    fly(
+        scheme_for(TRIANGLE, can_stop=False),
+        TRIANGLE,
+        11,
+        Air(limit_s=120.0),
+        watch=lambda t, d, v, omega: seen.append((t, d, v)),
+    )
+    assert all(v == 0.5 for _, _, v in seen)
+    late = [d for t, d, _ in seen if t > 80.0]
+    assert max(late) <= 0.9
+    assert min(late) >= 0.3
+
+
+def test_the_mirror_image_is_flown_as_the_mirror_image() -> None:
+    quiet = Air(sigma_m=1e-6, dropout=0.0, reflected=0.0)
+    mirrored = Field((TRIANGLE.station[0], -TRIANGLE.station[1]), tuple((x, -y) for x, y in TRIANGLE.beacons))
+    flown = []
+    for field, turn in ((TRIANGLE, "left"), (mirrored, "right")):
+        guidance = msgspec.convert({"first_turn": turn}, GuidanceSettings)
+        scheme = station(guidance, StationSettings(), field.distances_m, 0.2, 0.3)
+        flown.append(fly(scheme, field, 12, quiet))
+    assert flown[0].time_s == pytest.approx(flown[1].time_s, abs=0.5)
+    assert flown[0].path_m == pytest.approx(flown[1].path_m, abs=0.2)
+
+
+def test_the_same_flight_twice_is_the_same() -> None:
+    one, other = (fly(scheme_for(TRIANGLE), TRIANGLE, 13, Air(limit_s=30.0)) for _ in range(2))
+    assert one == other
