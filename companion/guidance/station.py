@@ -5,9 +5,6 @@ ranges (`station_fit`, `station_search`); FOLLOW: fly to the station while the f
 step per range; KEEP: once the map of beacons is good enough, leave it as it is and locate the vehicle in it
 (`station_pose`), so that what varies (drift, heading) is followed and what does not is not forgotten. Errors
 of the map matter little at the station: the ranges there and the distances given err by the same map.
-
-A step costs the same however long the flight; per range it is independent of the number of beacons, per
-command linear in it.
 """
 
 from __future__ import annotations
@@ -40,7 +37,8 @@ AMBIGUOUS = 3.0
 IN_LINE = 0.1
 """Beacons whose spread across their line is less than this part of the spread along it lie in a line."""
 CLOSE_M = 2.0
-"""So close to where the station seems to be, beacons that still seem to lie in a line do."""
+"""So close to where the station seems to be, beacons that still seem to lie in a line do, and a map twice
+as uncertain is good enough."""
 KEEP_AFTER_S = 10.0
 """A map is not kept sooner: an early fit may be a wrong one that is sure of itself."""
 PATIENCE_S = 5.0
@@ -256,7 +254,7 @@ def command(p: Parameters, s: Station, dt_s: float, yaw_rate_rad_s: float) -> tu
         s = _keep(p, s)
     if s.mode == Mode.WAIT or s.problem == Problem.TOO_FEW:
         return s, stand
-    stay, wanted = station_steer.steer(p.law, _situation(s), s.stay, yaw_rate_rad_s)
+    stay, wanted = station_steer.steer(p.law, _situation(s), s.stay, dt_s, yaw_rate_rad_s)
     return s._replace(stay=stay), wanted
 
 
@@ -343,7 +341,11 @@ def _follow(p: Parameters, s: Station) -> Station:
     if image.cost - taken.cost < AMBIGUOUS and of.across_m < IN_LINE * of.along_m:
         # on the way more is learnt of how they lie
         return s._replace(problem=Problem.COLLINEAR) if known.d_m < CLOSE_M else s
-    if s.t < KEEP_AFTER_S or gap < station_search.UNLIKELY or sigma_m > p.keeping.map_sigma_m:
+    if (
+        s.t < KEEP_AFTER_S
+        or gap < station_search.UNLIKELY
+        or sigma_m > (2.0 if known.d_m < CLOSE_M else 1.0) * p.keeping.map_sigma_m
+    ):
         return s
     a, t = s.at, s.t
     speed = math.hypot(s.vx, s.vy) + 1e-3

@@ -26,7 +26,7 @@ class StationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """After this long it takes the most probable station, ambiguous or not."""
     memory_s: Annotated[float, Meta(gt=0.0, le=3600.0)] = 30.0
     """Time constant with which old ranges are forgotten while the beacons are being located."""
-    map_sigma_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.3
+    map_sigma_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.15
     """The beacons' places are kept once one sigma of the station's is below this."""
     refit_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.5
     """Pause between two searches for a better fit during the flight to the station."""

@@ -27,6 +27,8 @@ ALIGNED_RAD = 0.3
 """Without a drift, the vehicle turns on the spot until the station is ahead within this."""
 LOOK_S = 2.5
 """At the station, head for the point from which the drift would bring the vehicle here in this time."""
+SETTLE_S = 2.0
+"""The vehicle rests at the station after it has been there for this long."""
 CIRCLE_MARGIN = 1.15
 """The smallest circle is this much wider than the tightest turn."""
 
@@ -60,18 +62,19 @@ class Situation(NamedTuple):
 
 
 class Stay(NamedTuple):
-    """Whether the vehicle has come to the station, whether it creeps, and whether it counts as arrived."""
+    """Whether the vehicle has come to the station, whether it creeps back, and for how long the station has
+    seemed near: it rests once that is `SETTLE_S`, as the estimate settles while the vehicle stands."""
 
     is_there: bool
     creeps: bool
-    arrived: bool
+    near_s: float
 
 
-AWAY = Stay(False, False, False)
+AWAY = Stay(False, False, 0.0)
 
 
-def steer(law: Law, q: Situation, stay: Stay, yaw_rate_rad_s: float) -> tuple[Stay, Command]:
-    """The next command. REST means: at rest inside the radius; everything else is TRACK."""
+def steer(law: Law, q: Situation, stay: Stay, dt_s: float, yaw_rate_rad_s: float) -> tuple[Stay, Command]:
+    """The next command, dt_s after the last. REST means at rest inside the radius; all else is TRACK."""
     ex, ey, heading, vx, vy, wx, wy = q
     w = math.hypot(wx, wy) + 1e-9
     real = max(0.0, 1.0 - (DRIFT_FLOOR_M_S / w) ** 2)
@@ -82,14 +85,14 @@ def steer(law: Law, q: Situation, stay: Stay, yaw_rate_rad_s: float) -> tuple[St
     rx, ry = ex - law.speed_lag * vx, ey - law.speed_lag * vy
     turn = abs(wrap(heading - math.atan2(-wy, -wx))) if w > 0.0 else 0.0
     if stay.is_there:
-        return _hold(law, q._replace(wx=wx, wy=wy), stay, (rx, ry), turn, yaw_rate_rad_s)
+        return _hold(law, q._replace(wx=wx, wy=wy), stay, (rx, ry), turn, dt_s, yaw_rate_rad_s)
     # stop so far up the drift that it carries the vehicle in while that turns
     wait_s = turn / law.omega_max + law.yaw_rate_lag * min(turn, 1.0)
     ax, ay = rx - wx * wait_s, ry - wy * wait_s
     near = math.hypot(ax, ay)
     ahead = ax * math.cos(heading) + ay * math.sin(heading)
     if near < 0.1 * law.radius or (near < 0.5 * law.radius and ahead < 0.02):
-        return Stay(True, False, False), Command(0.0, 0.0, TRACK)
+        return Stay(True, False, 0.0), Command(0.0, 0.0, TRACK)
     theta = _bearing(ax, ay, heading)
     crab = _crab(law, ax, ay, wx, wy) * min(1.0, 2.0 * near)
     return AWAY, Command(law.v, _approach_rate(law, theta, crab, near, yaw_rate_rad_s), TRACK)
@@ -106,7 +109,7 @@ def _approach_rate(law: Law, theta: float, crab: float, near: float, yaw_rate: f
 
 
 def _hold(
-    law: Law, q: Situation, stay: Stay, rest: tuple[float, float], turn: float, yaw_rate: float
+    law: Law, q: Situation, stay: Stay, rest: tuple[float, float], turn: float, dt: float, yaw_rate: float
 ) -> tuple[Stay, Command]:
     """At the station: face the drift, creep back where it has carried the vehicle off."""
     rx, ry = rest
@@ -127,9 +130,10 @@ def _hold(
     error = theta if creeps or away > 0.15 else 0.0
     gains = lq.bearing_gains(1.0, law.v, law.yaw_rate_lag, 0.25 * law.q1, law.q2, law.r)
     omega = clip(lq.bearing_yaw_rate(error, yaw_rate, gains), law.omega_max)
-    arrived = math.hypot(q.ex, q.ey) < (0.85 if stay.arrived else 0.5) * law.radius
-    purpose = REST if arrived and not creeps else TRACK
-    stay = Stay(off <= 2.5 * law.radius, creeps, arrived)
+    is_near = math.hypot(q.ex, q.ey) < (0.85 if stay.near_s > SETTLE_S else 0.5) * law.radius
+    near_s = min(stay.near_s + dt, SETTLE_S + 1.0) if is_near else 0.0
+    purpose = REST if near_s > SETTLE_S and not creeps else TRACK
+    stay = Stay(off <= 2.5 * law.radius, creeps, near_s)
     return stay, Command(law.v if creeps else 0.0, omega, purpose)
 
 
