@@ -151,12 +151,15 @@ def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
     s = _TAKE_IN[kind](p, s, event)
     if kind in _MERE_TELEMETRY:  # the next range or tick, a moment later, acts on it
         return s, ()
-    s, change = _transit(p, s, t_ns)
+    due = _is_due(p, s, event)
+    if due and (s.phase in phase.MOVING or s.phase is Phase.HOLD):
+        s = _command(p, s, t_ns)
+    s, change = _transit(p, s, t_ns)  # critical: between command and setpoint, so that it has the last word
     outputs: list[Output] = [] if change is None else [change]
     if isinstance(event, RangeSample):
         outputs.append(_verdict(s, event))
-    if s.phase in phase.STREAMING and _is_due(p, s, event):
-        s, setpoint = _control(p, s, t_ns)
+    if due and s.phase in phase.STREAMING:
+        s, setpoint = _setpoint(p, s, t_ns)
         outputs.append(setpoint)
     return _upkeep(p, s, t_ns, outputs)
 
@@ -370,31 +373,38 @@ def _is_due(p: Plan, s: State, event: Event) -> bool:
     return (fresh or overdue) and t_ns >= s.steering.t_allowed_ns - 1e9 / cfg.max_rate_hz
 
 
-def _control(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
-    """Command, limits, and the setpoint that leaves."""
+def _command(p: Plan, s: State, t_ns: int) -> State:
+    """What the guidance asks for now."""
     o, g = _predict(p, s, t_ns), s.steering
-    cfg, v = p.settings.vehicle, s.vehicle
-    command = _STANDSTILL._replace(purpose=g.command.purpose)
-    if s.phase in phase.MOVING or s.phase is Phase.HOLD:
-        dt_s = (t_ns - g.t_command_ns) * 1e-9
-        guidance, command = p.scheme.command(p.scheme.p, o.guidance, dt_s, o.motion.yaw_rate_rad_s)
-        o = o._replace(guidance=guidance)
+    dt_s = (t_ns - g.t_command_ns) * 1e-9
+    guidance, command = p.scheme.command(p.scheme.p, o.guidance, dt_s, o.motion.yaw_rate_rad_s)
+    return s._replace(
+        observing=o._replace(guidance=guidance), steering=g._replace(command=command, t_command_ns=t_ns)
+    )
+
+
+def _setpoint(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
+    """What leaves of the command: by the phase, then by the limits."""
+    cfg, v, g = p.settings.vehicle, s.vehicle, s.steering
+    moving = s.phase in phase.MOVING
+    steering = moving or s.phase is Phase.HOLD
     hold_m = g.hold_height_m if s.phase.is_engaged else v.height_m
     climb_m_s = 0.0
     if cfg.setpoint_frame == "body_ned" and hold_m is not None and v.height_m is not None:
         climb_m_s = cfg.height_gain_1_s * (hold_m - v.height_m)
     wanted = Setpoint(
         t_ns=t_ns,
-        speed_m_s=command.v_m_s if s.phase in phase.MOVING else 0.0,  # critical: no speed in any other phase
-        yaw_rate_rad_s=command.omega_rad_s,
+        speed_m_s=g.command.v_m_s if moving else 0.0,  # critical: no speed in any other phase
+        yaw_rate_rad_s=g.command.omega_rad_s if steering else 0.0,
         heading_rad=v.heading_rad,
         height_m=hold_m if cfg.setpoint_frame == "local_ned" else None,
         climb_m_s=climb_m_s,
     )
     state, setpoint = limits.apply(p.settings.limits, g.limits, wanted, v.height_m)
     t_allowed_ns = max(g.t_allowed_ns, t_ns) + int(1e9 / p.settings.stream.max_rate_hz)
-    steering = Steering(command, t_ns, g.hold_height_m, state, setpoint, t_allowed_ns)
-    return s._replace(observing=o, steering=steering), setpoint
+    return s._replace(
+        steering=g._replace(limits=state, setpoint=setpoint, t_allowed_ns=t_allowed_ns)
+    ), setpoint
 
 
 # --------------------------------------------------------------------------------------------- upkeep

@@ -1,0 +1,269 @@
+"""What each command does, put together from the parts that it needs.
+
+Each imports what it needs when it runs, so that `--help` is quick and a flight loads nothing of the desk's
+tools. All take the parsed options and return the process's exit status; UsageError stops with status 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from companion import cli_publish
+from companion.exits import Exit
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from companion.config import Loaded
+
+
+class UsageError(Exception):
+    """A wrong command line or configuration, in one line."""
+
+
+def fly(args: argparse.Namespace) -> int:
+    """Fly the vehicle."""
+    from companion.fly import fly
+    from companion.record import Recorder, start_now
+    from companion.view import ViewKind, open_view
+
+    loaded = _load(args.config, _link_overrides(args))
+    view = open_view(sys.stdout, ViewKind(args.view))
+    path = args.record or Path("flights") / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
+    recorder = Recorder.open(path, start_now(loaded.config, loaded.digest, loaded.sources))
+    return fly(loaded.config, view, recorder, json_file=args.json, png_file=args.png)
+
+
+def replay(args: argparse.Namespace) -> int:
+    """Replay a recorded flight."""
+    import msgspec
+
+    from companion.config import ConfigError, load
+    from companion.recording import RecordError, read
+    from companion.replay import replay
+
+    try:
+        recording = read(args.file)
+        settings = None
+        if args.config or args.set:
+            recorded = json.loads(recording.start.config)
+            settings = load(args.config, {}, args.set, recorded=recorded).config
+        result = replay(recording, settings)
+    except (RecordError, ConfigError) as error:
+        raise UsageError(str(error)) from error
+    print(msgspec.json.encode(result).decode() if args.json else result.text())
+    return Exit.OK if result.equal or settings is not None else Exit.DIFFERENT
+
+
+def _link_overrides(args: argparse.Namespace) -> list[str]:
+    """`--set`, then the options of the two links."""
+    overrides = list(args.set)
+    if args.mavlink:
+        overrides.append(f"vehicle.mavlink={json.dumps(args.mavlink)}")
+    if args.zenoh_connect:
+        overrides.append(f"ranges.connect={json.dumps(args.zenoh_connect)}")
+    if args.zenoh_listen:
+        overrides.append(f"ranges.listen={json.dumps(args.zenoh_listen)}")
+    return overrides
+
+
+def check(args: argparse.Namespace) -> int:
+    """Look whether everything is ready to fly."""
+    from companion.check import check, text
+
+    loaded = _load(args.config, _link_overrides(args))
+    if sys.stderr.isatty():
+        print("looking and asking; nothing is moved ...", file=sys.stderr)
+    try:
+        report = check(loaded.config, args.patience)
+    except KeyboardInterrupt:
+        return Exit.INTERRUPTED
+    if args.json:
+        print(report.json().decode())
+    else:
+        width = min(shutil.get_terminal_size((110, 24)).columns, 120)
+        print(text(report, width, colour=sys.stdout.isatty() and "NO_COLOR" not in os.environ))
+    return Exit.OK if report.ready else Exit.NOT_READY
+
+
+def sim(args: argparse.Namespace) -> int:
+    """Simulate many flights."""
+    from companion.simulate import fly_many, statistics
+
+    loaded = _load(args.config, args.set)
+    with _Progress("simulated flights", quiet=args.json) as progress:
+        results = fly_many(
+            loaded.config, args.runs, args.seed, lambda done: progress.told("", done, args.runs)
+        )
+    figures = statistics(results)
+    print(json.dumps(figures, indent=2) if args.json else _table(figures))
+    return Exit.OK
+
+
+def _table(figures: dict[str, Any]) -> str:
+    lines = [
+        f"{figures['captured']} of {figures['runs']} flights captured the target, "
+        f"{figures['rests_inside']} came to rest inside the capture radius",
+        f"{'':28}{'median':>9}{'p95':>9}{'max':>9}{'mean':>9}",
+    ]
+    rows = {
+        "time_s": "time, s",
+        "path_ratio": "path ÷ shortest path",
+        "extra_path_m": "extra path, m",
+        "rest_m": "distance at rest, m",
+    }
+    for key, name in rows.items():
+        values = (figures[key][column] for column in ("median", "p95", "max", "mean"))
+        lines.append(f"{name:28}" + "".join("        –" if v is None else f"{v:9.3f}" for v in values))
+    lines += [f"not captured: seed {n['seed']}: {n['ended']}" for n in figures["not_captured"]]
+    return "\n".join(lines)
+
+
+class _Progress:
+    """A progress bar on standard error, where that is a terminal."""
+
+    def __init__(self, what: str, quiet: bool) -> None:
+        self._what = what
+        self._bar: Progress | None = None
+        self._quiet = quiet or not sys.stderr.isatty()
+
+    def __enter__(self) -> _Progress:
+        if not self._quiet:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            text = TextColumn(self._what + " {task.description}")
+            columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._bar.add_task("", total=None)
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def told(self, what: str, done: int, total: int) -> None:
+        """So much of it is done."""
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], description=what, completed=done, total=total)
+
+
+def config_show(args: argparse.Namespace) -> int:
+    """Every value and its source."""
+    from companion.config import flat
+
+    loaded = _load(args.config, args.set)
+    for key, value in flat(loaded.config).items():
+        print(f"{key} = {json.dumps(value)}  # {loaded.sources.get(key, 'default')}")
+    print(f"# digest {loaded.digest}")
+    return Exit.OK
+
+
+def config_schema(_: argparse.Namespace) -> int:
+    """The configuration's JSON Schema."""
+    from companion.config import schema
+
+    print(json.dumps(schema(), indent=2))
+    return Exit.OK
+
+
+def ranges_schema(_: argparse.Namespace) -> int:
+    """A range's JSON Schema."""
+    from companion.wire_range import schema
+
+    print(json.dumps(schema(), indent=2))
+    return Exit.OK
+
+
+def operator(args: argparse.Namespace) -> int:
+    """The ground side in a script."""
+    from companion.ground import GroundLinkError
+    from companion.operator import operate
+
+    try:
+        result = operate(
+            args.mavlink,
+            height_m=args.height,
+            take_over_after_s=args.take_over_after,
+            timeout_s=args.timeout,
+            say=lambda line: print(line, flush=True),
+        )
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    except GroundLinkError as error:
+        print(f"companion: {error}", file=sys.stderr)
+        return Exit.LINK
+    print(result.value, flush=True)
+    return result.exit_status
+
+
+def publish(args: argparse.Namespace) -> int:
+    """Put ranges on Zenoh, or check who does."""
+    try:
+        return cli_publish.run(args)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def design(args: argparse.Namespace) -> int:
+    """Gains, poles and margins."""
+    from companion.bench.design import design, plot, table
+
+    loaded = _load(args.config, args.set)
+    vehicle = loaded.config.vehicle
+    report = design(loaded.config.guidance, vehicle.yaw_rate_lag_s, vehicle.response_delay_s)
+    print(table(report))
+    if args.plots is not None:
+        print(f"wrote {plot(report, args.plots)}")
+    return Exit.OK
+
+
+def bench_guidance(args: argparse.Namespace) -> int:
+    """Compare guidance schemes."""
+    from companion.bench.cases import CASES
+    from companion.bench.guidance import CONTENDERS, as_json, table
+    from companion.bench.guidance import bench_guidance as measure
+
+    settings = _load(args.config, args.set).config.guidance
+    cases, schemes = args.case or tuple(CASES), args.scheme or tuple(CONTENDERS)
+    with _Progress("flights", quiet=args.json) as progress:
+        try:
+            report = measure(cases, schemes, args.runs, args.seed, progress.told, settings)
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+    print(json.dumps(as_json(report), indent=2) if args.json else table(report))
+    if args.plots is not None:
+        from companion.bench.pictures import plots
+
+        for path in plots(report, args.plots):
+            print(f"wrote {path}", file=sys.stderr)
+    return Exit.OK
+
+
+def demo(args: argparse.Namespace) -> int:
+    """A whole flight on this machine."""
+    from companion.config import ConfigError
+    from companion.demo import demo
+
+    try:
+        return demo(args.config)
+    except ConfigError as error:
+        raise UsageError(str(error)) from error
+
+
+def _load(path: Path | None, overrides: Sequence[str]) -> Loaded:
+    from companion.config import ConfigError, load
+
+    try:
+        return load(path, os.environ, overrides)
+    except ConfigError as error:
+        raise UsageError(str(error)) from error
