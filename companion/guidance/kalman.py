@@ -140,3 +140,11 @@ def bearing_sigma(g: Gaussian, d_m: float) -> float:
     s = g.x.x2 / length if length > TINY else 0.0
     across = max(g.p22 * c * c + g.p33 * s * s - 2.0 * g.p23 * s * c, 0.0)
     return min(math.sqrt(across) / max(length, 0.25 * d_m, 0.3), math.pi)
+
+
+def median_of_five(values: tuple[float, float, float, float, float]) -> float:
+    """The median, by comparisons."""
+    a, b, c, d, e = values
+    low = max(min(a, b), min(c, d))
+    high = min(max(a, b), max(c, d))
+    return max(min(low, high), min(max(low, high), e))

@@ -11,7 +11,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from companion.guidance import kalman, lq, luenberger, model
+from companion.guidance import kalman, lq, luenberger, model, seek
+from companion.guidance.drift import Noise
 from companion.guidance.kalman import Gaussian
 from companion.guidance.model import Lifted
 from companion.guidance.scheme import PROBE, REST, TRACK, UNKNOWN_M, Command, Knowledge, Scheme
@@ -111,7 +112,7 @@ def kalman_update(
         recent = (m.y, o.recent[0], o.recent[1], o.recent[2], o.recent[3])
         belief = o.belief
         if o.seen + 1 == FIRST_RANGES:
-            belief = kalman.start(kalman.Measured(median_of_five(recent), m.variance))
+            belief = kalman.start(kalman.Measured(kalman.median_of_five(recent), m.variance))
         return Capture(1.0, KalmanObserver(belief, o.seen + 1, recent, 0.0), s.turn, s.probed_s, s.rests)
     expected_m = math.sqrt(max(2.0 * o.belief.x.x1 + dh_m * dh_m, NEAR_RANGE_M * NEAR_RANGE_M))
     m = kalman.measured(range_m, sigma_m, dh_m, sigma_dh_m, expected_m)
@@ -136,14 +137,6 @@ def kalman_knowledge(p: Parameters, s: Capture) -> Knowledge:
         kalman.distance_sigma(o.belief, d),
         kalman.bearing_sigma(o.belief, d),
     )
-
-
-def median_of_five(values: tuple[float, float, float, float, float]) -> float:
-    """The median, by comparisons."""
-    a, b, c, d, e = values
-    low = max(min(a, b), min(c, d))
-    high = min(max(a, b), max(c, d))
-    return max(min(low, high), min(max(low, high), e))
 
 
 # ---------------------------------------------------------------------------------- Luenberger observer
@@ -323,11 +316,53 @@ def parameters(settings: GuidanceSettings, yaw_rate_lag_s: float) -> Parameters:
     )
 
 
-def capture(settings: GuidanceSettings, yaw_rate_lag_s: float) -> Scheme:
-    """The scheme that the settings select, for a vehicle whose yaw rate lags its command by yaw_rate_lag_s.
+def seek_parameters(
+    settings: GuidanceSettings, yaw_rate_lag_s: float, velocity_lag_s: float
+) -> seek.SeekParameters:
+    """The settings as floats, for the observer "drift"."""
+    paper_law = settings.controller == "lq-paper"
+    q1, q2 = settings.lq_paper_q if paper_law else settings.lq_q
+    return seek.SeekParameters(
+        v=settings.speed_m_s,
+        omega_max=settings.yaw_rate_max_rad_s,
+        radius=settings.capture_radius_m,
+        lag=yaw_rate_lag_s,
+        velocity_lag=velocity_lag_s,
+        first_turn=1.0 if settings.first_turn == "left" else -1.0,
+        search_turn_s=settings.search_turn_s,
+        turn_through=settings.turn_through_rad,
+        q1=q1,
+        q2=q2,
+        r=settings.lq_paper_r if paper_law else settings.lq_r,
+        gate_sigma=settings.kalman_gate_sigma,
+        offset=settings.range_offset_m,
+        stop_sigma=settings.stop_sigma,
+        noise=Noise(
+            drift_m_s=settings.drift_m_s,
+            drift_change_m_s=settings.drift_change_m_s,
+            drift_tau_s=settings.drift_tau_s,
+            gyro_rad_s=settings.gyro_bias_rad_s,
+            position=settings.kalman_position_noise,
+            turn=settings.kalman_turn_noise,
+        ),
+        paper_law=paper_law,
+    )
+
+
+def capture(settings: GuidanceSettings, yaw_rate_lag_s: float, velocity_lag_s: float = 0.3) -> Scheme:
+    """The scheme that the settings select, for a vehicle that lags its commands by so much.
 
     It knows one beacon: the beacon number of a range is ignored.
     """
+    if settings.observer == "drift":
+        return Scheme(
+            seek_parameters(settings, yaw_rate_lag_s, velocity_lag_s),
+            seek.initial,
+            seek.predict,
+            seek.update,
+            seek.command,
+            seek.knowledge,
+        )
     p = parameters(settings, yaw_rate_lag_s)
     command = _COMMANDS[settings.observer, settings.controller]
     if settings.observer == "kalman":

@@ -19,8 +19,13 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     observer: Annotated[
-        Literal["kalman", "luenberger"],
-        Meta(description="Who estimates the bearing: the Kalman filter, or the paper's observer Eq. (23)."),
+        Literal["drift", "kalman", "luenberger"],
+        Meta(
+            description=(
+                "Who estimates the bearing: a Kalman filter that allows for drift, for constant errors "
+                "of the ranges and for the gyro's bias; one that does not; or the paper's observer Eq. (23)."
+            )
+        ),
     ] = "kalman"
     controller: Annotated[
         Literal["lq", "lq-paper"],
@@ -46,8 +51,8 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             ge=0.0,
             le=10.0,
             description=(
-                "Stop where the estimated distance is below the capture radius minus this; go on "
-                "where it is above the radius."
+                "`kalman`, `luenberger`: stop where the estimated distance is below the capture radius "
+                "minus this; go on where it is above the radius."
             ),
         ),
     ] = 0.05
@@ -60,7 +65,10 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(
             ge=0.0,
             le=60.0,
-            description="Length of the first turn, at the largest yaw rate, before steering begins.",
+            description=(
+                "`kalman`, `luenberger`: length of the first turn, at the largest yaw rate, before "
+                "steering begins."
+            ),
         ),
     ] = 0.5
     probe_sigma_rad: Annotated[
@@ -85,10 +93,10 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = (16.0, 1e-6)
     lq_r: Annotated[Weight, Meta(description="`lq`: weight of the squared yaw-rate command.")] = 1.0
     kalman_position_noise: Annotated[
-        WeightOrNone, Meta(description="`kalman`: process noise on the target's position, m²/s.")
+        WeightOrNone, Meta(description="`drift`, `kalman`: process noise on the target's position, m²/s.")
     ] = 1e-3
     kalman_turn_noise: Annotated[
-        WeightOrNone, Meta(description="`kalman`: process noise on the heading, rad²/s.")
+        WeightOrNone, Meta(description="`drift`, `kalman`: process noise on the heading, rad²/s.")
     ] = 1e-3
     kalman_gate_sigma: Annotated[
         float,
@@ -96,11 +104,54 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             ge=1.0,
             le=100.0,
             description=(
-                "`kalman`: a range further than this many sigmas from the expected one is not "
+                "`drift`, `kalman`: a range further than this many sigmas from the expected one is not "
                 "believed."
             ),
         ),
     ] = 4.0
+    search_turn_s: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=60.0,
+            description="`drift`: length of the first turn, at the largest yaw rate, before steering begins.",
+        ),
+    ] = 1.0
+    drift_m_s: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=5.0,
+            description=(
+                "`drift`: expected motion, one-sigma of each component, that velocity or position do not "
+                "tell: wind, or their error."
+            ),
+        ),
+    ] = 0.05
+    drift_change_m_s: Annotated[
+        float, Meta(ge=0.0, le=5.0, description="`drift`: one-sigma of its slow changes.")
+    ] = 0.03
+    drift_tau_s: Annotated[
+        float, Meta(gt=0.0, le=1e4, description="`drift`: time constant of its slow changes.")
+    ] = 30.0
+    gyro_bias_rad_s: Annotated[
+        float, Meta(gt=0.0, le=1.0, description="`drift`: one-sigma of the constant error of the yaw rate.")
+    ] = 0.02
+    range_offset_m: Annotated[
+        float,
+        Meta(ge=0.0, le=5.0, description="`drift`: one-sigma of a constant error of the ranges."),
+    ] = 0.05
+    stop_sigma: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=10.0,
+            description=(
+                "`drift`: the vehicle stops where it comes to rest inside the capture radius with this "
+                "many sigmas to spare."
+            ),
+        ),
+    ] = 2.0
     lq_paper_q: Annotated[
         tuple[Weight, WeightOrNone], Meta(description="`lq-paper`: diagonal of the weight Q_c in Eq. (8).")
     ] = (0.5, 1.0)
@@ -121,8 +172,7 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Annotated[float, Meta(ge=-math.pi, le=math.pi)] | None,
         Meta(
             description=(
-                "`luenberger`: the target's bearing when guidance begins, which the paper takes "
-                "as known."
+                "`luenberger`: the target's bearing when guidance begins, which the paper takes as known."
             )
         ),
     ] = None
