@@ -209,3 +209,17 @@ def settle(f: DriftLift, x: float, y: float, spread_m2: float, n: Noise) -> Drif
         f.p44 - k4 * b4, z,
         n.gyro_rad_s * n.gyro_rad_s,
     )  # fmt: skip
+
+
+def widen(f: DriftLift, spread_m2: float, n: Noise) -> DriftLift:
+    """The same mean with less trust in it: the priors of `n` and `spread_m2` on the position come on top."""
+    drift = n.drift_m_s * n.drift_m_s
+    return DriftLift(
+        f.x1, f.x, f.y, f.wx, f.wy, f.s,
+        f.p00, f.p01, f.p02, f.p03, f.p04, f.p05,
+        f.p11 + spread_m2, f.p12, f.p13, f.p14, f.p15,
+        f.p22 + spread_m2, f.p23, f.p24, f.p25,
+        f.p33 + drift, f.p34, f.p35,
+        f.p44 + drift, f.p45,
+        f.p55 + n.gyro_rad_s * n.gyro_rad_s,
+    )  # fmt: skip

@@ -316,6 +316,18 @@ def parameters(settings: GuidanceSettings, yaw_rate_lag_s: float) -> Parameters:
     )
 
 
+def _noise(settings: GuidanceSettings, share: float) -> Noise:
+    """What is expected of the dead reckoning, all sigmas and variances reduced to a share."""
+    return Noise(
+        drift_m_s=settings.drift_m_s * share,
+        drift_change_m_s=settings.drift_change_m_s * share,
+        drift_tau_s=settings.drift_tau_s,
+        gyro_rad_s=settings.gyro_bias_rad_s * share,
+        position=settings.kalman_position_noise * share,
+        turn=settings.kalman_turn_noise * share,
+    )
+
+
 def seek_parameters(
     settings: GuidanceSettings, yaw_rate_lag_s: float, velocity_lag_s: float
 ) -> seek.SeekParameters:
@@ -337,14 +349,8 @@ def seek_parameters(
         gate_sigma=settings.kalman_gate_sigma,
         offset=settings.range_offset_m,
         stop_sigma=settings.stop_sigma,
-        noise=Noise(
-            drift_m_s=settings.drift_m_s,
-            drift_change_m_s=settings.drift_change_m_s,
-            drift_tau_s=settings.drift_tau_s,
-            gyro_rad_s=settings.gyro_bias_rad_s,
-            position=settings.kalman_position_noise,
-            turn=settings.kalman_turn_noise,
-        ),
+        calm=_noise(settings, settings.trust),
+        loose=_noise(settings, 1.0),
         paper_law=paper_law,
     )
 

@@ -23,6 +23,12 @@ FIRST_RANGES = 5
 """The filter starts from the median of this many ranges."""
 REJECTION_MEMORY = 0.93
 """Forgetting factor, per range, of the average that starts a locked-out filter afresh."""
+SURPRISE_MEMORY = 0.97
+"""The same of the average innovation."""
+SURPRISE_MAX = 0.5
+"""An average innovation of so many sigmas says that the dead reckoning is wrong."""
+SPREAD = 0.3
+"""Then the target may be elsewhere by this share of its distance."""
 NEAR_RANGE_M = 0.2
 """The noise of d²/2 is never taken for smaller than at this range."""
 SMOOTHING_S = 0.15
@@ -39,7 +45,9 @@ CRAB_MAX = 0.9
 """Largest sine of the crab angle."""
 AIMED_RAD = 0.3
 """A turn on the spot ends where the target is this near to straight ahead."""
-PATIENCE_S = 12.0
+TURN_RAD = 0.5
+"""And begins where it is this far off."""
+PATIENCE_S = 30.0
 """Near the target the certainty that a stop asks for fades over this time: knowledge has its limits too."""
 
 
@@ -60,7 +68,8 @@ class SeekParameters(NamedTuple):
     gate_sigma: float
     offset: float
     stop_sigma: float
-    noise: Noise
+    calm: Noise
+    loose: Noise
     paper_law: bool
 
 
@@ -76,12 +85,13 @@ class Motion(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """Ranges: how many until there are enough, the latest d²/2 of these, the average rejection rate, and the
-    last range believed with its height difference."""
+    """Ranges: how many until there are enough, the latest d²/2 of these, the average rejection rate, the
+    average innovation in sigmas, and the last range believed with its height difference."""
 
     seen: int
     recent: tuple[float, float, float, float, float]
     rejected: float
+    surprise: float
     range_m: float
     dh_m: float
     sigma_dh_m: float
@@ -102,6 +112,7 @@ class Seeking(NamedTuple):
     distance since the bearing was known."""
 
     accepted: float
+    noise: Noise
     mode: int
     since_s: float
     agreed: float
@@ -118,13 +129,14 @@ def initial(p: SeekParameters) -> Seeking:
     z = 0.0
     return Seeking(
         z,
+        p.calm,
         GATHER,
         z,
         z,
         z,
         Motion(z, z, z, z, z, z),
-        Heard(0, (z, z, z, z, z), z, z, z, z),
-        drift.start(z, z, p.noise),
+        Heard(0, (z, z, z, z, z), z, z, z, z, z),
+        drift.start(z, z, p.calm),
         Fix(z, z, z, z, z, z, z),
         Manner(p.first_turn, False, False, z),
     )
@@ -154,7 +166,17 @@ def predict(
         m.dt_s + dt_s,
     )
     return Seeking(
-        s.accepted, s.mode, s.since_s, s.agreed, s.nearest_m, motion, s.heard, s.lift, s.fix, s.manner
+        s.accepted,
+        s.noise,
+        s.mode,
+        s.since_s,
+        s.agreed,
+        s.nearest_m,
+        motion,
+        s.heard,
+        s.lift,
+        s.fix,
+        s.manner,
     )
 
 
@@ -166,11 +188,13 @@ def caught_up(p: SeekParameters, s: Seeking) -> Seeking:
     lift, q = s.lift, s.fix
     if s.mode != GATHER:
         known = s.mode == FOLLOW
-        lift = drift.predict(lift, p.noise, Known(q.x, q.y, q.wx, q.wy), known, m.dt_s, m.x, m.y)
+        lift = drift.predict(lift, s.noise, Known(q.x, q.y, q.wx, q.wy), known, m.dt_s, m.x, m.y)
         q = Fix(q.x - m.x - q.wx * m.dt_s, q.y - m.y - q.wy * m.dt_s, q.xx, q.xy, q.yy, q.wx, q.wy)
     still = Motion(m.heading, m.vx, m.vy, 0.0, 0.0, 0.0)
     since_s = s.since_s + m.dt_s
-    return Seeking(s.accepted, s.mode, since_s, s.agreed, s.nearest_m, still, s.heard, lift, q, s.manner)
+    return Seeking(
+        s.accepted, s.noise, s.mode, since_s, s.agreed, s.nearest_m, still, s.heard, lift, q, s.manner
+    )
 
 
 def update(
@@ -195,16 +219,22 @@ def update(
     rejected = REJECTION_MEMORY * h.rejected
     if innovation * innovation > p.gate_sigma * p.gate_sigma * variance:
         rejected += 1.0 - REJECTION_MEMORY
-        heard = Heard(h.seen, h.recent, rejected, h.range_m, dh_m, sigma_dh_m)
-        s = Seeking(0.0, s.mode, s.since_s, s.agreed, s.nearest_m, s.motion, heard, f, s.fix, s.manner)
+        heard = Heard(h.seen, h.recent, rejected, h.surprise, h.range_m, dh_m, sigma_dh_m)
+        s = Seeking(
+            0.0, s.noise, s.mode, s.since_s, s.agreed, s.nearest_m, s.motion, heard, f, s.fix, s.manner
+        )
         # a filter that believes hardly any range any more is wrong itself: a gate must never lock itself out
-        return afresh(s) if rejected > 0.5 else s
+        return afresh(s, p.loose) if rejected > 0.5 else s
     nearest_m = min(s.nearest_m, drift.distance(f))
-    heard = Heard(h.seen, h.recent, rejected, expected_m, dh_m, sigma_dh_m)
+    surprise = SURPRISE_MEMORY * h.surprise + (1.0 - SURPRISE_MEMORY) * innovation / math.sqrt(variance)
+    heard = Heard(h.seen, h.recent, rejected, surprise, expected_m, dh_m, sigma_dh_m)
     lift = drift.correct(f, innovation, variance)
-    s = Seeking(1.0, s.mode, s.since_s, s.agreed, nearest_m, s.motion, heard, lift, s.fix, s.manner)
+    s = Seeking(1.0, s.noise, s.mode, s.since_s, s.agreed, nearest_m, s.motion, heard, lift, s.fix, s.manner)
+    if s.mode == FOLLOW and abs(surprise) > SURPRISE_MAX and s.noise.drift_m_s != p.loose.drift_m_s:
+        # ranges that differ to one side again and again: the vehicle moves otherwise than it says
+        s = loosened(p, s)
     if s.mode == FOLLOW and drift.distance(f) > nearest_m + RECEDES_M:
-        return afresh(s)
+        return afresh(s, p.loose)
     return s
 
 
@@ -215,21 +245,40 @@ def gathered(
     h, m = s.heard, s.motion
     y = measured(range_m, sigma_m, dh_m, 0.0, max(range_m, NEAR_RANGE_M)).y
     recent = (y, h.recent[0], h.recent[1], h.recent[2], h.recent[3])
-    heard = Heard(h.seen + 1, recent, 0.0, range_m, dh_m, sigma_dh_m)
+    heard = Heard(h.seen + 1, recent, 0.0, 0.0, range_m, dh_m, sigma_dh_m)
     mode, lift = s.mode, s.lift
     if heard.seen >= FIRST_RANGES:
         mode = SEARCH
         d = max(math.sqrt(max(2.0 * median_of_five(recent), 0.0)), 0.5)
-        lift = drift.start(d, sigma_m * max(range_m / d, 1.0), p.noise)
+        lift = drift.start(d, sigma_m * max(range_m / d, 1.0), s.noise)
     motion = Motion(m.heading, m.vx, m.vy, 0.0, 0.0, 0.0)
-    return Seeking(1.0, mode, 0.0, 0.0, UNKNOWN_M, motion, heard, lift, s.fix, s.manner)
+    return Seeking(1.0, s.noise, mode, 0.0, 0.0, UNKNOWN_M, motion, heard, lift, s.fix, s.manner)
 
 
-def afresh(s: Seeking) -> Seeking:
-    """Forget the target and look for it again."""
+def loosened(p: SeekParameters, s: Seeking) -> Seeking:
+    """Trust the dead reckoning less from now on."""
+    d = drift.distance(s.lift)
+    lift = drift.widen(s.lift, (SPREAD * d) ** 2, p.loose)
+    return Seeking(
+        s.accepted,
+        p.loose,
+        s.mode,
+        s.since_s,
+        s.agreed,
+        s.nearest_m,
+        s.motion,
+        s.heard,
+        lift,
+        s.fix,
+        s.manner,
+    )
+
+
+def afresh(s: Seeking, noise: Noise) -> Seeking:
+    """Forget the target, and look for it again without trusting the dead reckoning."""
     h = s.heard
-    heard = Heard(0, h.recent, 0.0, h.range_m, h.dh_m, h.sigma_dh_m)
-    return Seeking(s.accepted, GATHER, 0.0, 0.0, s.nearest_m, s.motion, heard, s.lift, s.fix, s.manner)
+    heard = Heard(0, h.recent, 0.0, 0.0, h.range_m, h.dh_m, h.sigma_dh_m)
+    return Seeking(s.accepted, noise, GATHER, 0.0, 0.0, s.nearest_m, s.motion, heard, s.lift, s.fix, s.manner)
 
 
 def knowledge(p: SeekParameters, s: Seeking) -> Knowledge:
@@ -268,7 +317,9 @@ def command(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) -
     if s.mode == SEARCH:
         return search(p, s, i, yaw_rate_rad_s)
     q = readout.fix(s.lift, i, s.lift.x, s.lift.y)
-    s = Seeking(s.accepted, s.mode, s.since_s, s.agreed, s.nearest_m, s.motion, s.heard, s.lift, q, s.manner)
+    s = Seeking(
+        s.accepted, s.noise, s.mode, s.since_s, s.agreed, s.nearest_m, s.motion, s.heard, s.lift, q, s.manner
+    )
     return follow(p, s, dt_s, yaw_rate_rad_s)
 
 
@@ -289,10 +340,10 @@ def search(
     if open_.resultant > AGREED or s.since_s > SEARCH_S:
         mode = FOLLOW
         q = readout.fix(f, i, q.x, q.y)
-        lift = drift.settle(f, q.x, q.y, q.xx + q.yy, p.noise)
+        lift = drift.settle(f, q.x, q.y, q.xx + q.yy, s.noise)
     manner = Manner(side(omega, s.manner.turn), False, False, 0.0)
     agreed = max(open_.resultant, drift.TINY)
-    s = Seeking(s.accepted, mode, s.since_s, agreed, UNKNOWN_M, m, s.heard, lift, q, manner)
+    s = Seeking(s.accepted, s.noise, mode, s.since_s, agreed, UNKNOWN_M, m, s.heard, lift, q, manner)
     return s, Command(p.v, omega, PROBE)
 
 
@@ -308,26 +359,25 @@ def follow(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) ->
     aside = hy * ex - hx * ey
     sigma_m = math.sqrt(max(q.xx + q.yy, 0.0))
     near_s = was.near_s + dt_s if rest_m < 2.0 * p.radius else max(was.near_s - dt_s, 0.0)
-    sure = p.stop_sigma * max(1.0 - near_s / PATIENCE_S, 0.0)
+    sure = p.stop_sigma * max(1.0 - (near_s / PATIENCE_S) ** 2, 0.0)
     if was.rests:
         rests = rest_m < 0.9 * p.radius
     else:
         arrived = rest_m < 0.3 * p.radius or was.stands or ahead < 0.0
-        rests = arrived and rest_m + max(sure * sigma_m, 0.1 * p.radius) < p.radius
+        rests = arrived and rest_m + max(sure * sigma_m, 0.4 * p.radius) < p.radius
     if rests:
         manner = Manner(was.turn, True, False, near_s)
         return with_manner(s, manner), Command(0.0, 0.0, REST)
+    # a target inside the turning circle cannot be reached by turning on: turn on the spot, or, while its
+    # place is too uncertain for that, fly the circle, which tells it
     turning_radius = p.v / p.omega_max
-    stands = was.stands
-    if stands:
-        stands = abs(math.atan2(aside, ahead)) > AIMED_RAD
-    elif abs(aside) > AIMED_RAD * rest_m or ahead < 0.0:
-        # a target inside the turning circle cannot be reached by turning on
-        inside = math.hypot(ahead, abs(aside) - turning_radius) < turning_radius
-        stands = inside and sigma_m < turning_radius
-    if stands:
-        theta = math.atan2(aside, ahead)
-        omega = yaw_rate(p, was.turn, turning_radius, theta, 0.0, yaw_rate_rad_s)
+    inside = math.hypot(ahead, abs(aside) - turning_radius) < turning_radius
+    off = math.atan2(aside, ahead)
+    if abs(off) > (AIMED_RAD if was.stands else TURN_RAD) and (inside or was.stands):
+        if sure * sigma_m > 0.6 * p.radius:
+            manner = Manner(was.turn, False, False, near_s)
+            return with_manner(s, manner), Command(p.v, was.turn * p.omega_max, TRACK)
+        omega = yaw_rate(p, was.turn, turning_radius, off, 0.0, yaw_rate_rad_s)
         manner = Manner(side(omega, was.turn), False, True, near_s)
         return with_manner(s, manner), Command(0.0, omega, TRACK)
     # the velocity follows the nose: aim from where it will have done so
@@ -365,5 +415,15 @@ def side(omega_rad_s: float, before: float) -> float:
 def with_manner(s: Seeking, manner: Manner) -> Seeking:
     """The same state with another manner."""
     return Seeking(
-        s.accepted, s.mode, s.since_s, s.agreed, s.nearest_m, s.motion, s.heard, s.lift, s.fix, manner
+        s.accepted,
+        s.noise,
+        s.mode,
+        s.since_s,
+        s.agreed,
+        s.nearest_m,
+        s.motion,
+        s.heard,
+        s.lift,
+        s.fix,
+        manner,
     )

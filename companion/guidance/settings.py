@@ -127,7 +127,18 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 "tell: wind, or their error."
             ),
         ),
-    ] = 0.05
+    ] = 0.1
+    trust: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=1.0,
+            description=(
+                "`drift`: share of the expected errors of the dead reckoning (drift, gyro, process noise) "
+                "that is reckoned with until the ranges contradict it."
+            ),
+        ),
+    ] = 0.1
     drift_change_m_s: Annotated[
         float, Meta(ge=0.0, le=5.0, description="`drift`: one-sigma of its slow changes.")
     ] = 0.03
