@@ -108,7 +108,7 @@ def test_the_units_times_fit_the_apps() -> None:
 
 def test_the_units_command_line_is_understood() -> None:
     _, *arguments = unit()["ExecStart"][0].split()
-    assert _parser().parse_args(arguments).command.__name__ == "_fly"
+    assert _parser().parse_args(arguments).command.__name__ == "fly"
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
