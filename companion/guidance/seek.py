@@ -333,7 +333,7 @@ def search(
     hx, hy = math.cos(m.heading), math.sin(m.heading)
     theta = math.atan2(hy * open_.cos - hx * open_.sin, hx * open_.cos + hy * open_.sin)
     omega = yaw_rate(p, s.manner.turn, d, theta, 0.0, yaw_rate_rad_s)
-    if s.since_s < p.search_turn_s or (open_.resultant < TURN_ON and abs(omega) < p.omega_max):
+    if s.since_s < p.search_turn_s + p.lag or (open_.resultant < TURN_ON and abs(omega) < p.omega_max):
         omega = s.manner.turn * p.omega_max
     q = Fix(d * open_.cos, d * open_.sin, 0.0, 0.0, 0.0, 0.0, 0.0)
     mode, lift = SEARCH, f

@@ -26,7 +26,7 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 "of the ranges and for the gyro's bias; one that does not; or the paper's observer Eq. (23)."
             )
         ),
-    ] = "kalman"
+    ] = "drift"
     controller: Annotated[
         Literal["lq", "lq-paper"],
         Meta(description="Who steers: LQ on the bearing error, or the paper's LQ law Eq. (12)."),
@@ -114,9 +114,12 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(
             ge=0.0,
             le=60.0,
-            description="`drift`: length of the first turn, at the largest yaw rate, before steering begins.",
+            description=(
+                "`drift`: length of the first turn, at the largest yaw rate, before steering begins; the "
+                "lag of the yaw rate comes on top."
+            ),
         ),
-    ] = 1.0
+    ] = 0.5
     drift_m_s: Annotated[
         float,
         Meta(

@@ -86,3 +86,15 @@ def test_the_papers_law_flies_on_the_kalman_filter() -> None:
     ratios = _ratios(GuidanceSettings(controller="lq-paper"), NOMINAL, random_starts(300, seed=4))
     assert np.isfinite(ratios).all()
     assert np.median(ratios) <= 1.06
+
+
+def test_the_default_captures_in_a_drift_that_nobody_tells_it_of() -> None:
+    ratios = _ratios(GuidanceSettings(), NOMINAL._replace(drift_m_s=0.1), random_starts(200, seed=5))
+    assert np.isfinite(ratios).all()
+    assert np.median(ratios) <= 1.15
+
+
+def test_the_default_comes_to_rest_inside_the_radius_high_above_the_beacon() -> None:
+    """Where the distance drowns in the height, the place must come from how the range changes on the way."""
+    flights = _flights(GuidanceSettings(), NOMINAL._replace(height_m=5.0), random_starts(200, seed=6))
+    assert np.mean(np.array(flights.rest_m) <= NOMINAL.radius_m) >= 0.97

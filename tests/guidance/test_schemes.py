@@ -31,6 +31,8 @@ every_combination = pytest.mark.parametrize(
     "keys", COMBINATIONS, ids=lambda k: "-".join(map(str, k.values()))
 )
 
+every_filter = pytest.mark.parametrize("observer", ["kalman", "drift"])
+
 MOVED = st.tuples(
     st.just("moved"), st.floats(0.0, 1.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-2.0, 2.0)
 )
@@ -122,7 +124,7 @@ def test_numba_compiles_it_as_it_stands_to_the_same_numbers(keys: dict[str, Any]
 
 
 def test_stands_still_until_it_knows_a_distance_then_turns_to_find_the_bearing() -> None:
-    scheme = capture(GuidanceSettings(first_turn="right"), 0.2)
+    scheme = capture(GuidanceSettings(observer="kalman", first_turn="right"), 0.2)
     out = _run(scheme, [("range", 10.0, 0.07, 0.0, 0.0)] * 6)
     for command, known in out[:4]:
         assert command == Command(0.0, 0.0, PROBE)
@@ -133,14 +135,28 @@ def test_stands_still_until_it_knows_a_distance_then_turns_to_find_the_bearing()
     assert known.sigma_theta_rad > 1.5
 
 
-def test_one_reflection_among_the_first_ranges_does_not_matter() -> None:
-    scheme = capture(GuidanceSettings(), 0.2)
+def test_the_drift_observer_claims_nothing_until_it_knows_and_little_until_it_has_turned() -> None:
+    scheme = capture(GuidanceSettings(observer="drift", first_turn="right"), 0.2)
+    out = _run(scheme, [("range", 10.0, 0.07, 0.0, 0.0)] * 6)
+    for command, known in out[:4]:
+        assert command.purpose == PROBE
+        assert known.sigma_d_m == UNKNOWN_M
+    command, known = out[5]
+    assert command == Command(0.5, -1.0, PROBE)
+    assert known.d_m == pytest.approx(10.0, abs=0.01)
+    assert known.sigma_theta_rad > 1.5
+
+
+@every_filter
+def test_one_reflection_among_the_first_ranges_does_not_matter(observer: Any) -> None:
+    scheme = capture(GuidanceSettings(observer=observer), 0.2)
     ranges = [("range", r, 0.07, 0.0, 0.0) for r in (10.0, 13.0, 10.05, 9.95, 10.0)]
     assert _run(scheme, ranges)[-1][1].d_m == pytest.approx(10.0, abs=0.01)
 
 
-def test_an_outlier_is_refused_and_a_locked_out_filter_starts_afresh() -> None:
-    scheme = capture(GuidanceSettings(), 0.2)
+@every_filter
+def test_an_outlier_is_refused_and_a_locked_out_filter_starts_afresh(observer: Any) -> None:
+    scheme = capture(GuidanceSettings(observer=observer), 0.2)
     p, s = scheme.p, scheme.initial(scheme.p)
     for _ in range(40):
         s = scheme.update(p, s, 0, 10.0, 0.07, 0.0, 0.0)
@@ -155,13 +171,13 @@ def test_an_outlier_is_refused_and_a_locked_out_filter_starts_afresh() -> None:
         s, command = scheme.command(p, s, 0.05, 0.0)
         commands.append(command)
     assert scheme.knowledge(p, s).d_m == pytest.approx(14.0, abs=0.05)
-    assert Command(0.0, 0.0, PROBE) in commands
+    assert PROBE in {command.purpose for command in commands}
     assert commands[-1].purpose == PROBE
     assert commands[-1].v_m_s == 0.5
 
 
 def test_overhead_negative_measurements_are_used() -> None:
-    scheme = capture(GuidanceSettings(), 0.2)
+    scheme = capture(GuidanceSettings(observer="kalman"), 0.2)
     out = _run(scheme, [("range", 4.9, 0.07, 5.0, 0.1)] * 20)
     assert out[-1][1].d_m == 0.0
     assert out[-1][0] == Command(0.0, 0.0, REST)

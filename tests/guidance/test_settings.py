@@ -12,7 +12,7 @@ from companion.guidance.settings import GuidanceSettings
 
 def test_the_default_assumes_no_bearing() -> None:
     settings = msgspec.convert({}, GuidanceSettings)
-    assert (settings.observer, settings.controller) == ("kalman", "lq")
+    assert (settings.observer, settings.controller) == ("drift", "lq")
     assert settings.initial_bearing_rad is None
 
 
