@@ -5,7 +5,7 @@ BIN := .venv/bin
 .PHONY: demo test lint clean
 
 demo: .venv/installed
-	$(BIN)/companion demo
+	$(BIN)/companion demo --config config/demo.toml
 
 test: .venv/installed
 	$(BIN)/pytest -n 2 --dist loadgroup

@@ -50,6 +50,8 @@ _LONGEST_PREDICTION_S = 1.0
 """After a longer pause of the event stream the prediction is worth nothing anyway."""
 _HEADING_RESET_RAD = 0.2
 """A larger jump between turn and headings is a reset of the autopilot's yaw, not a turn."""
+_POSITION_RESET_M = 0.5
+"""A larger jump between moves and positions is a reset of the autopilot's position, not a move."""
 _STANDSTILL = Command(0.0, 0.0, PROBE)
 
 
@@ -85,6 +87,11 @@ class Observing(NamedTuple):
     heading_rad: float = 0.0
     """The heading that the observer's turning so far amounts to; each ATTITUDE corrects it."""
     path_m: float = 0.0
+    place: tuple[float, float] | None = None
+    """Where the observer's moves lead to, in the autopilot's local frame; None: it tells no position."""
+    lag_x_m: float = 0.0
+    lag_y_m: float = 0.0
+    """What the next prediction moves on top, to be where the autopilot's position says."""
 
 
 class Steering(NamedTuple):
@@ -131,7 +138,9 @@ def plan(settings: Settings) -> Plan:
     target = settings.mission.target
     return Plan(
         settings=settings,
-        scheme=schemes.capture(settings.guidance, settings.vehicle.yaw_rate_lag_s),
+        scheme=schemes.capture(
+            settings.guidance, settings.vehicle.yaw_rate_lag_s, settings.vehicle.velocity_lag_s
+        ),
         beacons={target: (0, settings.beacons[target])},
     )
 
@@ -203,7 +212,24 @@ def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
 
 
 def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
-    return s._replace(vehicle=veh.on_motion(s.vehicle, e))
+    """The autopilot's position strays far less than its velocity, added up: its differences are the moves."""
+    o = s.observing
+    lag_x_m = lag_y_m = 0.0
+    place = None
+    if e.x_m is not None and e.y_m is not None and math.isfinite(e.x_m + e.y_m):
+        place = (e.x_m, e.y_m)
+        if o.place is not None:
+            dt_s = (e.t_ns - o.t_ns) * 1e-9
+            c, sn = math.cos(o.heading_rad), math.sin(o.heading_rad)
+            forward_m, left_m = o.motion.forward_m_s * dt_s, o.motion.left_m_s * dt_s
+            x_m = e.x_m - o.place[0] - (forward_m * c - left_m * sn)
+            y_m = e.y_m - o.place[1] - (forward_m * sn + left_m * c)
+            if math.hypot(x_m, y_m) < _POSITION_RESET_M:
+                place, lag_x_m, lag_y_m = o.place, x_m, y_m
+    return s._replace(
+        vehicle=veh.on_motion(s.vehicle, e),
+        observing=o._replace(place=place, lag_x_m=lag_x_m, lag_y_m=lag_y_m),
+    )
 
 
 def _on_heartbeat(p: Plan, s: State, e: VehicleHeartbeat) -> State:
@@ -274,11 +300,19 @@ def _predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Ob
         measured_rad = math.remainder(turned_to - o.heading_rad, 2.0 * math.pi)
         if abs(measured_rad - turn_rad) < _HEADING_RESET_RAD:
             turn_rad = measured_rad
-    guidance = p.scheme.predict(
-        p.scheme.p, o.guidance, dt_s, motion.forward_m_s, motion.left_m_s, turn_rad / dt_s
-    )
+    forward_m_s, left_m_s, place = motion.forward_m_s, motion.left_m_s, o.place
+    if place is not None:
+        middle = o.heading_rad + 0.5 * turn_rad
+        c, sn = math.cos(middle), math.sin(middle)
+        place = (
+            place[0] + (forward_m_s * c - left_m_s * sn) * dt_s + o.lag_x_m,
+            place[1] + (forward_m_s * sn + left_m_s * c) * dt_s + o.lag_y_m,
+        )
+        forward_m_s += (o.lag_x_m * c + o.lag_y_m * sn) / dt_s
+        left_m_s += (o.lag_y_m * c - o.lag_x_m * sn) / dt_s
+    guidance = p.scheme.predict(p.scheme.p, o.guidance, dt_s, forward_m_s, left_m_s, turn_rad / dt_s)
     flown_m = math.hypot(motion.forward_m_s, motion.left_m_s) * dt_s if s.phase.is_engaged else 0.0
-    return Observing(guidance, t_ns, motion, o.heading_rad + turn_rad, o.path_m + flown_m)
+    return Observing(guidance, t_ns, motion, o.heading_rad + turn_rad, o.path_m + flown_m, place)
 
 
 # ---------------------------------------------------------------------------------------------- phase
