@@ -57,6 +57,8 @@ def test_every_command_runs(command: str, tmp_path: Path) -> None:
     elif words[1] == "fly":
         words += ["--set", "loss.wait_s=1", "--record", str(tmp_path / "flight.mcap")]
         assert run(words) == Exit.NO_VEHICLE
+    elif words[1] == "check":
+        assert run([*words, "--patience", "1"]) == Exit.NOT_READY
     elif words[1] == "operator":
         assert run([*words, "--timeout", "1"]) == OperatorResult.NO_VEHICLE.exit_status
     else:
