@@ -1,6 +1,6 @@
 """The pure core: `step(plan, state, event)` → the next state and what is to leave.
 
-gate → observe → phase → control → limits, on every event. No clock, no I/O, no randomness: the same events
+gate → observe → command → phase → limits, on every event. No clock, no I/O, no randomness: the same events
 give the same outputs, bit for bit.
 """
 
