@@ -11,7 +11,6 @@ import msgspec
 import serial
 import zenoh
 
-from companion import pilot
 from companion.exits import Exit
 from companion.link.mavlink import VehicleLink
 from companion.link.signing import SignedMavlink
@@ -21,6 +20,7 @@ from companion.live import Bell, live
 from companion.record import Recorder
 from companion.run import run
 from companion.settings import Settings
+from companion.state import State
 from companion.summary import FlightLog, FlightReport, Problem, report, text
 from companion.types import Output, PhaseChange, Status
 from companion.view import View
@@ -73,7 +73,7 @@ def fly(
     return exit_status(final, log)
 
 
-def exit_status(final: pilot.State, log: FlightLog) -> Exit:
+def exit_status(final: State, log: FlightLog) -> Exit:
     """What the ending means to a script."""
     if final.flight.captured:
         return Exit.OK

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from companion import pilot
 from companion.settings import Settings
+from companion.state import State
 from companion.types import Event, Output
 
 
@@ -14,7 +15,7 @@ def run(
     settings: Settings,
     send: Callable[[Output], None],
     record: Callable[[Event | Output], None],
-) -> pilot.State:
+) -> State:
     """Fly: feed each event to the pilot and send what it decides, until the flight is over."""
     plan = pilot.plan(settings)
     state = pilot.initial(plan)

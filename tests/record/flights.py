@@ -6,10 +6,10 @@ import io
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from companion import pilot
 from companion.config import Config, Loaded
 from companion.record import FlightWriter, Start, start_now, versions
 from companion.run import run
+from companion.state import State
 from companion.types import Event, Output, Phase, PhaseChange, StopRequest
 from sitl_mock.faults import FaultAt
 from sitl_mock.scenario import Scenario
@@ -29,7 +29,7 @@ def fly(
     record: Callable[[Item], None],
     faults: Iterable[FaultAt] = (),
     rest_s: float = 1.0,
-) -> pilot.State:
+) -> State:
     """A simulated flight; it is stopped when the app has held for `rest_s`."""
     world = World(config.sim, seed, faults)
     hold_ns: list[int] = []

@@ -1,0 +1,169 @@
+"""Taking events in: what each of them changes in the state, before anything is decided."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from companion import gate
+from companion import vehicle as veh
+from companion.state import Observing, Plan, State
+from companion.types import (
+    Attitude,
+    Event,
+    LandedReport,
+    LocalMotion,
+    Malformed,
+    ModeReport,
+    RangeSample,
+    StopRequest,
+    Tick,
+    VehicleHeartbeat,
+    Verdict,
+)
+from companion.vehicle import BodyMotion
+
+_LONGEST_PREDICTION_S = 1.0
+"""After a longer pause of the event stream the prediction is worth nothing anyway."""
+_HEADING_RESET_RAD = 0.2
+"""A larger jump between turn and headings is a reset of the autopilot's yaw, not a turn."""
+_POSITION_RESET_M = 0.5
+"""A larger jump between moves and positions is a reset of the autopilot's position, not a move."""
+
+
+def take_in(p: Plan, s: State, event: Event) -> State:
+    """The state with the event in it."""
+    return _TAKE_IN[type(event)](p, s, event)
+
+
+def _on_range(p: Plan, s: State, e: RangeSample) -> State:
+    known = p.beacons.get(e.beacon)
+    if known is None:
+        return _reject(s, Verdict.UNKNOWN_BEACON)
+    number, beacon = known
+    r = s.ranging
+    track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e)
+    if track is not None:
+        r = r._replace(tracks={**r.tracks, e.beacon: track})
+        s = s._replace(ranging=r)
+    if verdict is not Verdict.ACCEPTED:
+        return _reject(s, verdict)
+    o = predict(p, s, e.t_ns)
+    sigma_m = gate.sigma_m(p.settings.ranges, e, beacon.sigma_m)
+    cfg = p.settings.vehicle
+    height_m = cfg.height_m if s.vehicle.height_m is None else s.vehicle.height_m
+    guidance = p.scheme.update(
+        p.scheme.p, o.guidance, number, e.range_m, sigma_m, height_m - beacon.height_m, cfg.height_sigma_m
+    )
+    s = s._replace(observing=o._replace(guidance=guidance))
+    if not guidance.accepted:
+        return _reject(s, Verdict.OUTLIER)
+    r = r._replace(t_ns=e.t_ns, accepted=r.accepted + 1, range_m=e.range_m, verdict=Verdict.ACCEPTED)
+    return s._replace(ranging=r)
+
+
+def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
+    v = veh.on_attitude(s.vehicle, e)
+    o = predict(p, s, e.t_ns, turned_to=v.heading_rad)
+    return s._replace(observing=o._replace(heading_rad=v.heading_rad), vehicle=v)
+
+
+def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
+    """The autopilot's position strays far less than its velocity, added up: its differences are the moves."""
+    o = s.observing
+    lag_x_m = lag_y_m = 0.0
+    place = None
+    if e.x_m is not None and e.y_m is not None and math.isfinite(e.x_m + e.y_m):
+        place = (e.x_m, e.y_m)
+        if o.place is not None:
+            dt_s = (e.t_ns - o.t_ns) * 1e-9
+            c, sn = math.cos(o.heading_rad), math.sin(o.heading_rad)
+            forward_m, left_m = o.motion.forward_m_s * dt_s, o.motion.left_m_s * dt_s
+            x_m = e.x_m - o.place[0] - (forward_m * c - left_m * sn)
+            y_m = e.y_m - o.place[1] - (forward_m * sn + left_m * c)
+            if math.hypot(x_m, y_m) < _POSITION_RESET_M:
+                place, lag_x_m, lag_y_m = o.place, x_m, y_m
+    return s._replace(
+        vehicle=veh.on_motion(s.vehicle, e),
+        observing=o._replace(place=place, lag_x_m=lag_x_m, lag_y_m=lag_y_m),
+    )
+
+
+def _on_heartbeat(p: Plan, s: State, e: VehicleHeartbeat) -> State:
+    return s._replace(vehicle=veh.on_heartbeat(s.vehicle, e))
+
+
+def _on_mode(p: Plan, s: State, e: ModeReport) -> State:
+    return s._replace(vehicle=veh.on_mode(s.vehicle, e))
+
+
+def _on_landed(p: Plan, s: State, e: LandedReport) -> State:
+    return s._replace(vehicle=s.vehicle._replace(landed=e.landed))
+
+
+def _on_malformed(p: Plan, s: State, e: Malformed) -> State:
+    r, name = s.ranging, e.defect.value
+    return s._replace(ranging=r._replace(malformed={**r.malformed, name: r.malformed.get(name, 0) + 1}))
+
+
+def _on_stop(p: Plan, s: State, e: StopRequest) -> State:
+    return s._replace(flight=s.flight._replace(stop_asked=True))
+
+
+def _on_tick(p: Plan, s: State, e: Tick) -> State:
+    return s
+
+
+_TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
+    RangeSample: _on_range,
+    Attitude: _on_attitude,
+    LocalMotion: _on_motion,
+    VehicleHeartbeat: _on_heartbeat,
+    ModeReport: _on_mode,
+    LandedReport: _on_landed,
+    Malformed: _on_malformed,
+    StopRequest: _on_stop,
+    Tick: _on_tick,
+}
+
+
+def _reject(s: State, verdict: Verdict) -> State:
+    r = s.ranging
+    rejected = {**r.rejected, verdict: r.rejected.get(verdict, 0) + 1}
+    return s._replace(ranging=r._replace(rejected=rejected, verdict=verdict))
+
+
+def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Observing:
+    """Bring the observer up to t_ns with the motion measured (or modelled) since.
+
+    With the heading measured at t_ns, the whole turn since the last one is that of the two headings: the yaw
+    rate, sampled, is good for the moments between them only.
+    """
+    o = s.observing
+    dt_s = min((t_ns - o.t_ns) * 1e-9, _LONGEST_PREDICTION_S)
+    if dt_s <= 0.0:
+        return o
+    cfg, sent = p.settings.vehicle, s.steering.setpoint
+    commanded = BodyMotion() if sent is None else BodyMotion(sent.speed_m_s, 0.0, sent.yaw_rate_rad_s)
+    motion = veh.body_motion(
+        s.vehicle, o.motion, commanded, t_ns, dt_s, cfg.velocity_lag_s, cfg.yaw_rate_lag_s
+    )
+    turn_rad = motion.yaw_rate_rad_s * dt_s
+    if turned_to is not None:
+        measured_rad = math.remainder(turned_to - o.heading_rad, 2.0 * math.pi)
+        if abs(measured_rad - turn_rad) < _HEADING_RESET_RAD:
+            turn_rad = measured_rad
+    forward_m_s, left_m_s, place = motion.forward_m_s, motion.left_m_s, o.place
+    if place is not None:
+        middle = o.heading_rad + 0.5 * turn_rad
+        c, sn = math.cos(middle), math.sin(middle)
+        place = (
+            place[0] + (forward_m_s * c - left_m_s * sn) * dt_s + o.lag_x_m,
+            place[1] + (forward_m_s * sn + left_m_s * c) * dt_s + o.lag_y_m,
+        )
+        forward_m_s += (o.lag_x_m * c + o.lag_y_m * sn) / dt_s
+        left_m_s += (o.lag_y_m * c - o.lag_x_m * sn) / dt_s
+    guidance = p.scheme.predict(p.scheme.p, o.guidance, dt_s, forward_m_s, left_m_s, turn_rad / dt_s)
+    flown_m = math.hypot(motion.forward_m_s, motion.left_m_s) * dt_s if s.phase.is_engaged else 0.0
+    return Observing(guidance, t_ns, motion, o.heading_rad + turn_rad, o.path_m + flown_m, place)

@@ -1,0 +1,98 @@
+"""What the pilot remembers: the plan of the flight, and the state that `pilot.step` carries along."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from companion import gate
+from companion.guidance.scheme import PROBE, Command, Scheme
+from companion.limits import LimitState
+from companion.settings import BeaconSettings, Settings
+from companion.types import Phase, Setpoint, Verdict
+from companion.vehicle import BodyMotion, Vehicle
+
+STANDSTILL = Command(0.0, 0.0, PROBE)
+
+
+class Plan(NamedTuple):
+    """What stays the same for a whole flight: the settings and what follows from them."""
+
+    settings: Settings
+    scheme: Scheme
+    beacons: dict[str, tuple[int, BeaconSettings]]
+    """Beacon id → its number in the scheme and what is known of it."""
+
+
+class Ranging(NamedTuple):
+    """What has become of the ranges."""
+
+    tracks: dict[str, gate.Track] = {}  # noqa: RUF012 - never changed in place, as the two below
+    rejected: dict[Verdict, int] = {}  # noqa: RUF012
+    malformed: dict[str, int] = {}  # noqa: RUF012
+    accepted: int = 0
+    t_ns: int | None = None
+    """When a range was believed last."""
+    range_m: float | None = None
+    verdict: Verdict = Verdict.ACCEPTED
+    """What became of the last range."""
+
+
+class Observing(NamedTuple):
+    """The scheme's own state, the time that it stands at, and the motion that brought it there."""
+
+    guidance: Any
+    t_ns: int = 0
+    motion: BodyMotion = BodyMotion()
+    heading_rad: float = 0.0
+    """The heading that the observer's turning so far amounts to; each ATTITUDE corrects it."""
+    path_m: float = 0.0
+    place: tuple[float, float] | None = None
+    """Where the observer's moves lead to, in the autopilot's local frame; None: it tells no position."""
+    lag_x_m: float = 0.0
+    lag_y_m: float = 0.0
+    """What the next prediction moves on top, to be where the autopilot's position says."""
+
+
+class Steering(NamedTuple):
+    """The last command, and what left of it."""
+
+    command: Command = STANDSTILL
+    t_command_ns: int = 0
+    hold_height_m: float | None = None
+    limits: LimitState = LimitState()
+    setpoint: Setpoint | None = None
+    t_allowed_ns: int = 0
+
+
+class Flight(NamedTuple):
+    """What has happened so far."""
+
+    stop_asked: bool = False
+    was_ready: bool = False
+    was_engaged: bool = False
+    captured: bool = False
+    t_engaged_ns: int = 0
+    engaged_s: float = 0.0
+    """How long the last engagement lasted, once it is over."""
+    t_heartbeat_ns: int | None = None
+    t_status_ns: int | None = None
+    t_request_ns: int | None = None
+
+
+class State(NamedTuple):
+    """All that the pilot remembers, in groups that change at the same pace."""
+
+    phase: Phase
+    reason: str
+    t_phase_ns: int | None
+    vehicle: Vehicle
+    ranging: Ranging
+    observing: Observing
+    steering: Steering
+    flight: Flight
+
+
+def age_s(then_ns: int | None, now_ns: int) -> float:
+    """Seconds since then; infinite where it never was."""
+    return math.inf if then_ns is None else (now_ns - then_ns) * 1e-9

@@ -1,0 +1,58 @@
+"""The snapshot of the flight that people see."""
+
+from __future__ import annotations
+
+from companion import phase
+from companion.guidance.scheme import UNKNOWN_M
+from companion.state import Plan, State, age_s
+from companion.types import Estimate, Phase, Status
+
+
+def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
+    """What is missing before the flight can begin, in words, with where it is expected from."""
+    cfg, missing = p.settings, []
+    if age_s(s.vehicle.t_link_ns, t_ns) > cfg.loss.vehicle_after_s:
+        missing.append(f"autopilot HEARTBEAT on {cfg.vehicle.mavlink}")
+    elif age_s(s.vehicle.t_attitude_ns, t_ns) > cfg.loss.telemetry_after_s:
+        missing.append(f"ATTITUDE on {cfg.vehicle.mavlink}")
+    if age_s(s.ranging.t_ns, t_ns) > cfg.loss.coast_after_s:
+        door = ", ".join(cfg.ranges.connect + cfg.ranges.listen) or "no endpoint configured"
+        missing.extend(
+            f"ranges of beacon {beacon!r} (Zenoh site {cfg.ranges.site!r}, {door})" for beacon in p.beacons
+        )
+    return tuple(missing)
+
+
+def snapshot(p: Plan, s: State, t_ns: int) -> Status:
+    """The snapshot that people see."""
+    v, r, sent = s.vehicle, s.ranging, s.steering.setpoint
+    estimate = None
+    k = p.scheme.knowledge(p.scheme.p, s.observing.guidance)
+    if k.sigma_d_m < UNKNOWN_M:
+        estimate = Estimate(k.d_m, k.sigma_d_m, k.theta_rad, k.sigma_theta_rad)
+    streaming = sent is not None and s.phase in phase.STREAMING
+    engaged_s = age_s(s.flight.t_engaged_ns, t_ns) if s.phase.is_engaged else s.flight.engaged_s
+    return Status(
+        t_ns=t_ns,
+        phase=s.phase,
+        reason=s.reason,
+        awaited=awaited(p, s, t_ns) if s.phase in (Phase.AWAIT, Phase.ENDED) else (),
+        mode=v.actual,
+        armed=v.armed,
+        range_m=r.range_m,
+        range_age_s=None if r.t_ns is None else age_s(r.t_ns, t_ns),
+        ranges_accepted=r.accepted,
+        rejected={verdict.value: n for verdict, n in r.rejected.items()},
+        malformed=r.malformed,
+        telemetry_age_s=None if v.t_attitude_ns is None else age_s(v.t_attitude_ns, t_ns),
+        estimate=estimate,
+        speed_m_s=sent.speed_m_s if sent is not None and streaming else None,
+        yaw_rate_rad_s=sent.yaw_rate_rad_s if sent is not None and streaming else None,
+        x_m=v.x_m,
+        y_m=v.y_m,
+        height_m=v.height_m,
+        heading_rad=None if v.t_attitude_ns is None else v.heading_rad,
+        path_m=s.observing.path_m,
+        engaged_s=engaged_s,
+        captured=s.flight.captured,
+    )
