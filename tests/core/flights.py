@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from companion import pilot
-from companion.pilot import Plan, State
 from companion.settings import Settings
+from companion.state import Plan, State
 from companion.types import (
     Attitude,
     Event,
