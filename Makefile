@@ -2,18 +2,26 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint clean
+# The tests of pages need a browser; without it they are skipped, where COMPANION_REQUIRE_CHROMIUM=1 they fail.
+.PHONY: demo test lint clean chromium
 
 demo: .venv/installed
 	$(BIN)/companion demo --config config/demo.toml
 
 test: .venv/installed
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 2 --dist loadgroup -rs
 
 lint: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+chromium:
+	@command -v chromium >/dev/null || { \
+		echo "installing Debian's chromium, for the tests of pages ..."; \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
+			apt-get install -y -qq --no-install-recommends chromium >/dev/null; } || \
+	echo "chromium is missing and could not be installed: as root, apt-get install chromium" >&2
 
 .venv/installed: pyproject.toml
 	@echo "installing into .venv (about a minute, once) ..."
