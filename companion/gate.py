@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from companion.settings import RangesSettings
 from companion.types import LineOfSight, RangeSample, Verdict
 
 
-class Track(NamedTuple):
+class Track(msgspec.Struct, frozen=True, gc=False):
     """What is remembered of one beacon's stream."""
 
     session: str
@@ -40,7 +42,7 @@ def judge(cfg: RangesSettings, track: Track | None, sample: RangeSample) -> tupl
     elif sample.seq <= track.seq:
         return track, Verdict.REPEATED if sample.seq == track.seq else Verdict.OUT_OF_ORDER
     if sample.sent_t_ns is None:
-        return track._replace(seq=sample.seq, t_ns=sample.t_ns, sent_t_ns=None), Verdict.ACCEPTED
+        return replace(track, seq=sample.seq, t_ns=sample.t_ns, sent_t_ns=None), Verdict.ACCEPTED
     return _judge_age(cfg, track, sample, sample.sent_t_ns)
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from msgspec.structs import replace
+
 from companion import gate
 from companion import vehicle as veh
 from companion.state import Observing, Plan, State
@@ -45,8 +47,8 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     r = s.ranging
     track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e)
     if track is not None:
-        r = r._replace(tracks={**r.tracks, e.beacon: track})
-        s = s._replace(ranging=r)
+        r = replace(r, tracks={**r.tracks, e.beacon: track})
+        s = replace(s, ranging=r)
     if verdict is not Verdict.ACCEPTED:
         return _reject(s, verdict)
     o = predict(p, s, e.t_ns)
@@ -56,17 +58,17 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     guidance = p.scheme.update(
         p.scheme.p, o.guidance, number, e.range_m, sigma_m, height_m - beacon.height_m, cfg.height_sigma_m
     )
-    s = s._replace(observing=o._replace(guidance=guidance))
+    s = replace(s, observing=replace(o, guidance=guidance))
     if not guidance.accepted:
         return _reject(s, Verdict.OUTLIER)
-    r = r._replace(t_ns=e.t_ns, accepted=r.accepted + 1, range_m=e.range_m, verdict=Verdict.ACCEPTED)
-    return s._replace(ranging=r)
+    r = replace(r, t_ns=e.t_ns, accepted=r.accepted + 1, range_m=e.range_m, verdict=Verdict.ACCEPTED)
+    return replace(s, ranging=r)
 
 
 def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
     v = veh.on_attitude(s.vehicle, e)
     o = predict(p, s, e.t_ns, turned_to=v.heading_rad)
-    return s._replace(observing=o._replace(heading_rad=v.heading_rad), vehicle=v)
+    return replace(s, observing=replace(o, heading_rad=v.heading_rad), vehicle=v)
 
 
 def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
@@ -84,31 +86,32 @@ def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
             y_m = e.y_m - o.place[1] - (forward_m * sn + left_m * c)
             if math.hypot(x_m, y_m) < _POSITION_RESET_M:
                 place, lag_x_m, lag_y_m = o.place, x_m, y_m
-    return s._replace(
+    return replace(
+        s,
         vehicle=veh.on_motion(s.vehicle, e),
-        observing=o._replace(place=place, lag_x_m=lag_x_m, lag_y_m=lag_y_m),
+        observing=replace(o, place=place, lag_x_m=lag_x_m, lag_y_m=lag_y_m),
     )
 
 
 def _on_heartbeat(p: Plan, s: State, e: VehicleHeartbeat) -> State:
-    return s._replace(vehicle=veh.on_heartbeat(s.vehicle, e))
+    return replace(s, vehicle=veh.on_heartbeat(s.vehicle, e))
 
 
 def _on_mode(p: Plan, s: State, e: ModeReport) -> State:
-    return s._replace(vehicle=veh.on_mode(s.vehicle, e))
+    return replace(s, vehicle=veh.on_mode(s.vehicle, e))
 
 
 def _on_landed(p: Plan, s: State, e: LandedReport) -> State:
-    return s._replace(vehicle=s.vehicle._replace(landed=e.landed))
+    return replace(s, vehicle=replace(s.vehicle, landed=e.landed))
 
 
 def _on_malformed(p: Plan, s: State, e: Malformed) -> State:
     r, name = s.ranging, e.defect.value
-    return s._replace(ranging=r._replace(malformed={**r.malformed, name: r.malformed.get(name, 0) + 1}))
+    return replace(s, ranging=replace(r, malformed={**r.malformed, name: r.malformed.get(name, 0) + 1}))
 
 
 def _on_stop(p: Plan, s: State, e: StopRequest) -> State:
-    return s._replace(flight=s.flight._replace(stop_asked=True))
+    return replace(s, flight=replace(s.flight, stop_asked=True))
 
 
 def _on_tick(p: Plan, s: State, e: Tick) -> State:
@@ -131,7 +134,7 @@ _TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
 def _reject(s: State, verdict: Verdict) -> State:
     r = s.ranging
     rejected = {**r.rejected, verdict: r.rejected.get(verdict, 0) + 1}
-    return s._replace(ranging=r._replace(rejected=rejected, verdict=verdict))
+    return replace(s, ranging=replace(r, rejected=rejected, verdict=verdict))
 
 
 def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Observing:

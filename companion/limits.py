@@ -8,7 +8,9 @@ forward speed is zero here, whatever the rest of the app believes.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from companion.settings import LimitSettings
 from companion.types import Setpoint
@@ -17,7 +19,7 @@ _LONGEST_STEP_S = 0.1
 """A pause in the stream gives no more slew than this."""
 
 
-class LimitState(NamedTuple):
+class LimitState(msgspec.Struct, frozen=True, gc=False):
     """What was let through last, and how far that has led since the engagement."""
 
     t_start_ns: int = 0
@@ -53,7 +55,8 @@ def apply(
     since_s = max(0.0, (wanted.t_ns - s.t_ns) * 1e-9)
     step_s = min(since_s, _LONGEST_STEP_S)
     turned = s.heading_rad
-    s = s._replace(
+    s = replace(
+        s,
         t_ns=wanted.t_ns,
         x_m=s.x_m + s.speed_m_s * since_s * math.cos(turned),
         y_m=s.y_m + s.speed_m_s * since_s * math.sin(turned),
@@ -79,7 +82,7 @@ def apply(
         height_m=_height(cfg, wanted.height_m, measured_height_m),
         climb_m_s=_clamp(_finite(wanted.climb_m_s), -cfg.climb_m_s, cfg.climb_m_s),
     )
-    return s._replace(speed_m_s=speed, yaw_rate_rad_s=yaw_rate, heading_rad=heading), let_through
+    return replace(s, speed_m_s=speed, yaw_rate_rad_s=yaw_rate, heading_rad=heading), let_through
 
 
 def _height(cfg: LimitSettings, wanted_m: float | None, measured_m: float | None) -> float | None:

@@ -6,6 +6,8 @@ give the same outputs, bit for bit.
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from companion import limits, phase
 from companion.guidance import schemes
 from companion.intake import predict, take_in
@@ -58,7 +60,7 @@ def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
     """Take in one event; return the next state and what is to leave, in order."""
     t_ns = event.t_ns
     if s.t_phase_ns is None:
-        s = s._replace(t_phase_ns=t_ns, observing=s.observing._replace(t_ns=t_ns))
+        s = replace(s, t_phase_ns=t_ns, observing=replace(s.observing, t_ns=t_ns))
     kind = type(event)
     s = take_in(p, s, event)
     if kind in _MERE_TELEMETRY:  # the next range or tick, a moment later, acts on it
@@ -95,35 +97,38 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
         reason = limits.spent(p.settings.limits, s.steering.limits, t_ns) or reason
     severity = phase.severity(after, condition)
     change = PhaseChange(t_ns=t_ns, before=s.phase, after=after, reason=reason, severity=severity)
-    s = s._replace(phase=after, reason=reason, t_phase_ns=t_ns, flight=s.flight._replace(t_request_ns=None))
+    s = replace(s, phase=after, reason=reason, t_phase_ns=t_ns, flight=replace(s.flight, t_request_ns=None))
     return _enter(p, s, after, condition, t_ns), change
 
 
 def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> State:
     """What a transition does besides changing the phase."""
     if s.flight.t_engaged_ns and not after.is_engaged and not s.flight.engaged_s:
-        s = s._replace(flight=s.flight._replace(engaged_s=age_s(s.flight.t_engaged_ns, t_ns)))
+        s = replace(s, flight=replace(s.flight, engaged_s=age_s(s.flight.t_engaged_ns, t_ns)))
     if condition is Condition.ENGAGED:
-        return s._replace(
-            observing=s.observing._replace(guidance=p.scheme.initial(p.scheme.p), path_m=0.0),
-            steering=s.steering._replace(
+        return replace(
+            s,
+            observing=replace(s.observing, guidance=p.scheme.initial(p.scheme.p), path_m=0.0),
+            steering=replace(
+                s.steering,
                 command=STANDSTILL,
                 t_command_ns=t_ns,
                 hold_height_m=s.vehicle.height_m,
                 limits=limits.start(t_ns),
             ),
-            flight=s.flight._replace(was_engaged=True, captured=False, t_engaged_ns=t_ns, engaged_s=0.0),
+            flight=replace(s.flight, was_engaged=True, captured=False, t_engaged_ns=t_ns, engaged_s=0.0),
         )
     if condition is Condition.RANGES_STALE:
         # Stale knowledge does not steer again: the bearing is acquired anew.
-        return s._replace(
-            observing=s.observing._replace(guidance=p.scheme.initial(p.scheme.p)),
-            steering=s.steering._replace(command=STANDSTILL),
+        return replace(
+            s,
+            observing=replace(s.observing, guidance=p.scheme.initial(p.scheme.p)),
+            steering=replace(s.steering, command=STANDSTILL),
         )
     if after is Phase.STANDBY:
-        return s._replace(flight=s.flight._replace(was_ready=True))
+        return replace(s, flight=replace(s.flight, was_ready=True))
     if after is Phase.HOLD:
-        return s._replace(flight=s.flight._replace(captured=True))
+        return replace(s, flight=replace(s.flight, captured=True))
     return s
 
 
@@ -176,8 +181,8 @@ def _command(p: Plan, s: State, t_ns: int) -> State:
     o, g = predict(p, s, t_ns), s.steering
     dt_s = (t_ns - g.t_command_ns) * 1e-9
     guidance, command = p.scheme.command(p.scheme.p, o.guidance, dt_s, o.motion.yaw_rate_rad_s)
-    return s._replace(
-        observing=o._replace(guidance=guidance), steering=g._replace(command=command, t_command_ns=t_ns)
+    return replace(
+        s, observing=replace(o, guidance=guidance), steering=replace(g, command=command, t_command_ns=t_ns)
     )
 
 
@@ -200,8 +205,8 @@ def _setpoint(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
     )
     state, setpoint = limits.apply(p.settings.limits, g.limits, wanted, v.height_m)
     t_allowed_ns = max(g.t_allowed_ns, t_ns) + int(1e9 / p.settings.stream.max_rate_hz)
-    return s._replace(
-        steering=g._replace(limits=state, setpoint=setpoint, t_allowed_ns=t_allowed_ns)
+    return replace(
+        s, steering=replace(g, limits=state, setpoint=setpoint, t_allowed_ns=t_allowed_ns)
     ), setpoint
 
 
@@ -216,15 +221,15 @@ def _upkeep(p: Plan, s: State, t_ns: int, outputs: list[Output]) -> tuple[State,
     f = s.flight
     if f.t_heartbeat_ns is None or t_ns - f.t_heartbeat_ns >= _HEARTBEAT_NS:
         outputs.append(CompanionHeartbeat(t_ns=t_ns, system_status=_system_status(s.phase)))
-        s = s._replace(flight=f._replace(t_heartbeat_ns=t_ns))
+        s = replace(s, flight=replace(f, t_heartbeat_ns=t_ns))
     if s.phase is Phase.HAND_OVER and age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S:
         mode = _HAND_OVER_MODE.get(p.settings.loss.hand_over_to)
         if mode is not None:
             outputs.append(ModeRequest(t_ns=t_ns, mode=mode))
-            s = s._replace(flight=s.flight._replace(t_request_ns=t_ns))
+            s = replace(s, flight=replace(s.flight, t_request_ns=t_ns))
     period_ns = 1e9 / p.settings.stream.status_rate_hz
     if f.t_status_ns is None or t_ns - f.t_status_ns >= period_ns or s.phase.is_final:
-        s = s._replace(flight=s.flight._replace(t_status_ns=t_ns))
+        s = replace(s, flight=replace(s.flight, t_status_ns=t_ns))
         outputs.append(snapshot(p, s, t_ns))
     return s, tuple(outputs)
 

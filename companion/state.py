@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
+
+import msgspec
 
 from companion import gate
 from companion.guidance.scheme import PROBE, Command, Scheme
@@ -15,7 +17,7 @@ from companion.vehicle import BodyMotion, Vehicle
 STANDSTILL = Command(0.0, 0.0, PROBE)
 
 
-class Plan(NamedTuple):
+class Plan(msgspec.Struct, frozen=True, gc=False):
     """What stays the same for a whole flight: the settings and what follows from them."""
 
     settings: Settings
@@ -24,12 +26,12 @@ class Plan(NamedTuple):
     """Beacon id → its number in the scheme and what is known of it."""
 
 
-class Ranging(NamedTuple):
+class Ranging(msgspec.Struct, frozen=True, gc=False):
     """What has become of the ranges."""
 
-    tracks: dict[str, gate.Track] = {}  # noqa: RUF012 - never changed in place, as the two below
-    rejected: dict[Verdict, int] = {}  # noqa: RUF012
-    malformed: dict[str, int] = {}  # noqa: RUF012
+    tracks: dict[str, gate.Track] = {}  # never changed in place, as the two below
+    rejected: dict[Verdict, int] = {}
+    malformed: dict[str, int] = {}
     accepted: int = 0
     t_ns: int | None = None
     """When a range was believed last."""
@@ -38,7 +40,7 @@ class Ranging(NamedTuple):
     """What became of the last range."""
 
 
-class Observing(NamedTuple):
+class Observing(msgspec.Struct, frozen=True, gc=False):
     """The scheme's own state, the time that it stands at, and the motion that brought it there."""
 
     guidance: Any
@@ -54,7 +56,7 @@ class Observing(NamedTuple):
     """What the next prediction moves on top, to be where the autopilot's position says."""
 
 
-class Steering(NamedTuple):
+class Steering(msgspec.Struct, frozen=True, gc=False):
     """The last command, and what left of it."""
 
     command: Command = STANDSTILL
@@ -65,7 +67,7 @@ class Steering(NamedTuple):
     t_allowed_ns: int = 0
 
 
-class Flight(NamedTuple):
+class Flight(msgspec.Struct, frozen=True, gc=False):
     """What has happened so far."""
 
     stop_asked: bool = False
@@ -80,7 +82,7 @@ class Flight(NamedTuple):
     t_request_ns: int | None = None
 
 
-class State(NamedTuple):
+class State(msgspec.Struct, frozen=True, gc=False):
     """All that the pilot remembers, in groups that change at the same pace."""
 
     phase: Phase

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from companion.types import Attitude, FlightMode, Landed, LocalMotion, ModeReport, VehicleHeartbeat
 
@@ -13,7 +15,7 @@ _MOTION_FRESH_NS = 300_000_000
 """An older velocity is no longer taken for the present one."""
 
 
-class Vehicle(NamedTuple):
+class Vehicle(msgspec.Struct, frozen=True, gc=False):
     """The last word of each kind. Times are None until something came."""
 
     t_link_ns: int | None = None
@@ -33,7 +35,7 @@ class Vehicle(NamedTuple):
     left_m_s: float = 0.0
 
 
-class BodyMotion(NamedTuple):
+class BodyMotion(msgspec.Struct, frozen=True, gc=False):
     """How the vehicle moves: body axes, paper frame."""
 
     forward_m_s: float = 0.0
@@ -44,20 +46,20 @@ class BodyMotion(NamedTuple):
 def on_heartbeat(v: Vehicle, e: VehicleHeartbeat) -> Vehicle:
     """HEARTBEAT: armed or not; the mode only where CURRENT_MODE does not tell it better."""
     if v.t_mode_ns is not None and e.t_ns - v.t_mode_ns < _MODE_REPORT_FRESH_NS:
-        return v._replace(t_link_ns=e.t_ns, armed=e.armed)
-    return v._replace(t_link_ns=e.t_ns, armed=e.armed, actual=e.mode, intended=None)
+        return replace(v, t_link_ns=e.t_ns, armed=e.armed)
+    return replace(v, t_link_ns=e.t_ns, armed=e.armed, actual=e.mode, intended=None)
 
 
 def on_mode(v: Vehicle, e: ModeReport) -> Vehicle:
     """CURRENT_MODE: the one message that the mode is believed from."""
-    return v._replace(t_link_ns=e.t_ns, t_mode_ns=e.t_ns, actual=e.actual, intended=e.intended)
+    return replace(v, t_link_ns=e.t_ns, t_mode_ns=e.t_ns, actual=e.actual, intended=e.intended)
 
 
 def on_attitude(v: Vehicle, e: Attitude) -> Vehicle:
     """ATTITUDE."""
     if not (math.isfinite(e.heading_rad) and math.isfinite(e.yaw_rate_rad_s)):
         return v
-    return v._replace(t_attitude_ns=e.t_ns, heading_rad=e.heading_rad, yaw_rate_rad_s=e.yaw_rate_rad_s)
+    return replace(v, t_attitude_ns=e.t_ns, heading_rad=e.heading_rad, yaw_rate_rad_s=e.yaw_rate_rad_s)
 
 
 def on_motion(v: Vehicle, e: LocalMotion) -> Vehicle:
@@ -67,7 +69,8 @@ def on_motion(v: Vehicle, e: LocalMotion) -> Vehicle:
     since_s = 0.0 if v.t_attitude_ns is None else (e.t_ns - v.t_attitude_ns) * 1e-9
     heading = v.heading_rad + v.yaw_rate_rad_s * min(since_s, _MOTION_FRESH_NS * 1e-9)
     c, s = math.cos(heading), math.sin(heading)
-    return v._replace(
+    return replace(
+        v,
         t_motion_ns=e.t_ns,
         x_m=e.x_m,
         y_m=e.y_m,
