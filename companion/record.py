@@ -178,15 +178,19 @@ class FlightWriter:
         """Append the next event or output."""
         self.add(self.number, item)
 
-    def add(self, number: int, item: Event | Output) -> None:
-        """Append an event or output with its number.
+    def add(self, number: int, item: Event | Output, noted_ns: int | None = None) -> None:
+        """Append an event or output with its number and the moment at which the loop told it: MCAP's
+        `publish_time`, as `log_time` is that of the event (None: the same, no clock runs in a simulation).
 
         Raises ValueError (a lone surrogate) or OverflowError (beyond 64 bits) where JSON cannot hold it.
         """
         self.number = number + 1
         data = self._encoder.encode(item)
         unix_ns = self._start.unix_of(item.t_ns)
-        self._mcap.add_message(self._channels[type(item)], unix_ns, data, unix_ns, number)
+        noted_ns = item.t_ns if noted_ns is None else noted_ns
+        self._mcap.add_message(
+            self._channels[type(item)], unix_ns, data, self._start.unix_of(noted_ns), number
+        )
         for topic, view in self._views.of(item):
             self._view(topic, view, unix_ns)
 
@@ -241,7 +245,8 @@ class Disk(Protocol):
         """Give it back."""
 
 
-_Numbered = tuple[int, Event | Output]
+_Numbered = tuple[int, int, Event | Output]
+"""Number in the flight; local monotonic time at which it was told; what was told."""
 
 
 class Recorder:
@@ -287,7 +292,8 @@ class Recorder:
 
     def write(self, item: Event | Output) -> None:
         """Note an event or output: less than a microsecond, whatever the disk does."""
-        (self._events if type(item) in _EVENTS else self._outputs).append((self._count, item))
+        queue = self._events if type(item) in _EVENTS else self._outputs
+        queue.append((self._count, time.monotonic_ns(), item))
         self._count += 1
         if len(self._events) + len(self._outputs) > BACKLOG:
             self._drop_oldest()
@@ -371,11 +377,11 @@ class Recorder:
             numbered = self._take(until)
             if numbered is None:
                 return done > 0
-            number, item = numbered
+            number, noted_ns, item = numbered
             if number > writer.number:
                 writer.say_lost(item.t_ns, number - writer.number)
             try:
-                writer.add(number, item)
+                writer.add(number, item, noted_ns)
                 self._encoded += 1
             except (ValueError, OverflowError):
                 self._spoilt += 1

@@ -39,6 +39,8 @@ class Step(NamedTuple):
 
     `number` counts events and outputs together; `slots[i]` is the place of `outputs[i]` after the event, with
     gaps where outputs were lost. `lost`: how many records are missing between this event and the next.
+    `delays_s[i]`: how long after the event the loop told `outputs[i]`, just before it was sent; 0 where no
+    clock was read (simulations, records of earlier versions).
     """
 
     number: int
@@ -46,6 +48,7 @@ class Step(NamedTuple):
     outputs: tuple[Output, ...]
     slots: tuple[int, ...]
     lost: int
+    delays_s: tuple[float, ...]
 
 
 class Recording(NamedTuple):
@@ -171,22 +174,23 @@ class _Reader:
 
     def recording(self, start: Start) -> Recording:
         """What was read, with each output at its event."""
-        items: list[tuple[int, Event | Output]] = []
+        items: list[_Item] = []
         unreadable: Counter[str] = Counter()
         for message in self._messages:
             topic, decoder = self._decoders.get(message.channel_id, ("", None))
             if decoder is None:
                 continue  # derived for viewers
             try:
-                items.append((message.sequence, decoder.decode(message.data)))
+                delay_ns = message.publish_time - message.log_time
+                items.append(_Item(message.sequence, decoder.decode(message.data), delay_ns * 1e-9))
             except msgspec.DecodeError as error:
                 unreadable[f"{topic}: {error}"] += 1
         problems = [*self.problems, *(f"{n} × unreadable {what}" for what, n in unreadable.items())]
-        events = [i for i, (_, item) in enumerate(items) if isinstance(item, Event)]
-        steps = [_step(items[a:b], items[b][0]) for a, b in pairwise(events)]
+        events = [i for i, item in enumerate(items) if isinstance(item.item, Event)]
+        steps = [_step(items[a:b], items[b].number) for a, b in pairwise(events)]
         if events:
             steps.append(_step(items[events[-1] :], self._count))
-        lost = max(self._count or 0, items[-1][0] + 1 if items else 0) - len(items)
+        lost = max(self._count or 0, items[-1].number + 1 if items else 0) - len(items)
         if lost:
             problems.append(f"{lost} records are missing")
         return Recording(
@@ -200,15 +204,24 @@ class _Reader:
         )
 
 
-def _step(items: list[tuple[int, Event | Output]], next_number: int | None) -> Step:
+class _Item(NamedTuple):
+    """A recorded event or output, its number, and how long after its time it was told."""
+
+    number: int
+    item: Event | Output
+    delay_s: float
+
+
+def _step(items: list[_Item], next_number: int | None) -> Step:
     """An event with its outputs; `next_number` is the next event's."""
-    (number, event), *rest = items
+    number, event, _ = items[0]
     assert isinstance(event, Event)
-    outputs = [(n - number - 1, output) for n, output in rest if isinstance(output, Output)]
+    outputs = [(of.number - number - 1, of.item, of.delay_s) for of in items if isinstance(of.item, Output)]
     return Step(
         number=number,
         event=event,
-        outputs=tuple(output for _, output in outputs),
-        slots=tuple(slot for slot, _ in outputs),
+        outputs=tuple(output for _, output, _ in outputs),
+        slots=tuple(slot for slot, _, _ in outputs),
         lost=0 if next_number is None else next_number - number - len(items),
+        delays_s=tuple(delay_s for _, _, delay_s in outputs),
     )

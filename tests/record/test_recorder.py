@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from companion import record
-from companion.record import Recorder
+from companion.record import Recorder, Start
 from companion.recording import Recording, read
 from companion.replay import replay
-from companion.types import Defect, Event, Malformed, Output, Tick
+from companion.types import CompanionHeartbeat, Defect, Event, Malformed, Output, SystemStatus, Tick
 from tests.record.flights import Item, flown, start
 
 PATIENCE_S = 30.0
@@ -77,6 +77,17 @@ def test_a_flight_is_recorded_and_replays_bit_for_bit(tmp_path: Path, items: lis
         sum(isinstance(item, Event) for item in items),
         sum(isinstance(item, Output) for item in items),
     )
+
+
+def test_the_record_tells_how_long_each_output_took(tmp_path: Path) -> None:
+    t_ns = time.monotonic_ns()
+    began = Start(time.time_ns(), t_ns, "{}", "", {}, {})
+    with Recorder.open(tmp_path / "f.mcap", began) as recorder:
+        recorder.write(Tick(t_ns=t_ns))
+        recorder.write(CompanionHeartbeat(t_ns=t_ns, system_status=SystemStatus.ACTIVE))
+        told_s = (time.monotonic_ns() - t_ns) * 1e-9
+    ((delay_s,),) = [step.delays_s for step in read(tmp_path / "f.mcap").steps]
+    assert 0.0 < delay_s <= told_s
 
 
 def test_an_empty_flight_is_a_sound_file(tmp_path: Path) -> None:
@@ -199,7 +210,7 @@ def test_text_that_json_cannot_hold_is_counted(tmp_path: Path) -> None:
 CHILD = """
 import resource, sys, time
 from pathlib import Path
-from companion.record import Recorder
+from companion.record import Recorder, Start
 from tests.record.flights import flown, start
 path, limit = Path(sys.argv[1]), int(sys.argv[2])
 items = flown()
