@@ -149,6 +149,16 @@ def _parser() -> argparse.ArgumentParser:
         "companion ranges schema",
     )
 
+    status = verbs.add_parser("status", help="the status message on the wire")
+    actions = status.add_subparsers(metavar="ACTION", required=True)
+    _command(
+        actions,
+        "schema",
+        commands.status_schema,
+        "the JSON Schema of a vehicle's status",
+        "companion status schema",
+    )
+
     operator = _command(
         verbs,
         "operator",

@@ -184,6 +184,14 @@ def ranges_schema(_: argparse.Namespace) -> int:
     return Exit.OK
 
 
+def status_schema(_: argparse.Namespace) -> int:
+    """A status message's JSON Schema."""
+    from companion.wire_status import schema
+
+    print(json.dumps(schema(), indent=2))
+    return Exit.OK
+
+
 def operator(args: argparse.Namespace) -> int:
     """The ground side in a script."""
     from companion.ground import GroundLinkError

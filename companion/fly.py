@@ -16,6 +16,7 @@ from companion.link.mavlink import VehicleLink
 from companion.link.signing import SignedMavlink
 from companion.link.systemd import Notifier
 from companion.link.zenoh_ranges import RangeLink
+from companion.link.zenoh_status import StatusLink
 from companion.live import Bell, live
 from companion.record import Recorder
 from companion.run import run
@@ -46,12 +47,15 @@ def fly(
             stack.callback(vehicle.close)
             ranges = RangeLink(settings.ranges, bell.ring)
             stack.callback(ranges.close)
+            status = StatusLink(settings, lambda: ranges.session, view.tell)
+            stack.callback(status.close)
             for number in (signal.SIGINT, signal.SIGTERM):
                 stack.callback(signal.signal, number, signal.signal(number, lambda *_: bell.ask_stop()))
 
             def send(output: Output) -> None:
                 vehicle.send(output)
                 systemd.send(output)
+                status.send(output)
                 if isinstance(output, Status):
                     view.show(output)
                     log.add(output)

@@ -201,6 +201,23 @@ class StreamSettings(Table, frozen=True):
     ] = 10.0
 
 
+class StatusSettings(Table, frozen=True):
+    """`[status]`: what the vehicle publishes of itself on Zenoh."""
+
+    uav: Annotated[Name, Meta(description="This vehicle's id in the key `uav/v1/{uav}/status`.")] = "uav1"
+    rate_hz: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=50.0,
+            description=(
+                "Status messages a second at most (and no more than `stream.status_rate_hz`); a phase change "
+                "is told at once. 0: nothing is published, not even that the vehicle is there."
+            ),
+        ),
+    ] = 5.0
+
+
 class LossSettings(Table, frozen=True):
     """`[loss]`: what happens when something stops coming. Times count from the last good input."""
 
@@ -302,5 +319,6 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     vehicle: VehicleSettings = VehicleSettings()
     guidance: GuidanceSettings = GuidanceSettings()
     stream: StreamSettings = StreamSettings()
+    status: StatusSettings = StatusSettings()
     loss: LossSettings = LossSettings()
     limits: LimitSettings = LimitSettings()

@@ -19,8 +19,10 @@ float seconds. `None` means "not told"; no field is ever NaN or infinite unless 
 from __future__ import annotations
 
 from enum import Enum, IntEnum
+from typing import Annotated
 
 import msgspec
+from msgspec import Meta
 
 
 class LineOfSight(Enum):
@@ -297,41 +299,45 @@ class PhaseChange(Output, frozen=True, gc=False, tag="phase_change"):
 
 
 class Estimate(msgspec.Struct, frozen=True, gc=False):
-    """What the observer knows of the target.
+    """What the observer knows of the target. The sigmas are one standard deviation."""
 
-    `bearing_rad` is θ in (−π, π]; `distance_m` is horizontal. The sigmas are one standard deviation.
-    """
-
-    distance_m: float
-    distance_sigma_m: float
-    bearing_rad: float
-    bearing_sigma_rad: float
+    distance_m: Annotated[float, Meta(description="horizontal distance of the target, metres")]
+    distance_sigma_m: Annotated[float, Meta(description="its standard deviation, metres")]
+    bearing_rad: Annotated[
+        float, Meta(description="θ = heading − line of sight, in (−π, π]; positive: on the right")
+    ]
+    bearing_sigma_rad: Annotated[float, Meta(description="its standard deviation, radians")]
 
 
 class Status(Output, frozen=True, gc=False, tag="status"):
-    """A snapshot for people, a few times a second: what the live view shows."""
+    """A snapshot for people, a few times a second: what the live views show."""
 
-    phase: Phase
-    reason: str
-    awaited: tuple[str, ...]
-    mode: FlightMode | None
-    armed: bool | None
-    range_m: float | None
-    range_age_s: float | None
-    ranges_accepted: int
-    rejected: dict[str, int]
-    malformed: dict[str, int]
-    telemetry_age_s: float | None
-    estimate: Estimate | None
-    speed_m_s: float | None
-    yaw_rate_rad_s: float | None
-    x_m: float | None
-    y_m: float | None
-    height_m: float | None
-    heading_rad: float | None
-    path_m: float
-    engaged_s: float
-    captured: bool
+    phase: Annotated[Phase, Meta(description="where the flight stands")]
+    reason: Annotated[str, Meta(description="why it stands there, in words")]
+    awaited: Annotated[
+        tuple[str, ...], Meta(description="what is missing before the flight can begin, and from where")
+    ]
+    mode: Annotated[FlightMode | None, Meta(description="the autopilot's flight mode")]
+    armed: Annotated[bool | None, Meta(description="whether the vehicle is armed")]
+    range_m: Annotated[float | None, Meta(description="range believed last, slant, metres")]
+    range_age_s: Annotated[float | None, Meta(description="time since then, seconds")]
+    ranges_accepted: Annotated[int, Meta(description="ranges believed so far")]
+    rejected: Annotated[dict[str, int], Meta(description="ranges not believed so far, by reason")]
+    malformed: Annotated[dict[str, int], Meta(description="wire data that could not be read, by reason")]
+    telemetry_age_s: Annotated[float | None, Meta(description="time since the last heading, seconds")]
+    estimate: Annotated[Estimate | None, Meta(description="what the observer knows of the target")]
+    speed_m_s: Annotated[float | None, Meta(description="commanded forward speed; null: nothing is sent")]
+    yaw_rate_rad_s: Annotated[
+        float | None,
+        Meta(description="commanded yaw rate, counter-clockwise positive; null: nothing is sent"),
+    ]
+    x_m: Annotated[float | None, Meta(description="position East of the autopilot's origin, metres")]
+    y_m: Annotated[float | None, Meta(description="position North of it, metres")]
+    height_m: Annotated[float | None, Meta(description="height above it, metres")]
+    heading_rad: Annotated[float | None, Meta(description="counter-clockwise from East, radians")]
+    path_m: Annotated[float, Meta(description="flown since OFFBOARD was selected, metres")]
+    engaged_s: Annotated[float, Meta(description="time since then, or that it lasted, seconds")]
+    captured: Annotated[bool, Meta(description="whether the target was reached since then")]
 
 
 AnyOutput = RangeVerdict | Setpoint | ModeRequest | CompanionHeartbeat | PhaseChange | Status

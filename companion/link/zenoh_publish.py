@@ -132,6 +132,23 @@ class Heard(NamedTuple):
     priority: str
 
 
+def heard(sample: zenoh.Sample, most_bytes: int) -> Heard:
+    """A sample as it came, now; for a callback in Zenoh's thread."""
+    payload = sample.payload
+    size = len(payload)
+    return Heard(
+        t_ns=time.monotonic_ns(),
+        unix_ns=time.time_ns(),
+        key=str(sample.key_expr),
+        payload=payload.to_bytes() if size <= most_bytes else b"",
+        size=size,
+        encoding=str(sample.encoding),
+        is_put=sample.kind == zenoh.SampleKind.PUT,
+        blocks=sample.congestion_control == zenoh.CongestionControl.BLOCK,
+        priority=str(sample.priority).rpartition(".")[2],
+    )
+
+
 class Answer(NamedTuple):
     """A reply to a query for a beacon's info."""
 
@@ -167,21 +184,7 @@ class Ear:
         if len(self._heard) >= self.BACKLOG:
             self.lost += 1
             return
-        payload = sample.payload
-        size = len(payload)
-        self._heard.append(
-            Heard(
-                t_ns=time.monotonic_ns(),
-                unix_ns=time.time_ns(),
-                key=str(sample.key_expr),
-                payload=payload.to_bytes() if size <= wire_range.MAX_PAYLOAD_BYTES else b"",
-                size=size,
-                encoding=str(sample.encoding),
-                is_put=sample.kind == zenoh.SampleKind.PUT,
-                blocks=sample.congestion_control == zenoh.CongestionControl.BLOCK,
-                priority=str(sample.priority).rpartition(".")[2],
-            )
-        )
+        self._heard.append(heard(sample, wire_range.MAX_PAYLOAD_BYTES))
 
     def drain(self) -> list[Heard]:
         """Everything heard since the last call."""

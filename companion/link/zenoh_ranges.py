@@ -62,6 +62,11 @@ class RangeLink:
             lost, self._flood = self._flood, 0
             yield Malformed(t_ns=clock(), defect=Defect.RANGE_FLOOD, detail=f"{lost} dropped")
 
+    @property
+    def session(self) -> zenoh.Session | None:
+        """The session, once it is open: what else leaves on Zenoh leaves by it."""
+        return self._opener.session
+
     def connected(self) -> int:
         """How many routers and peers there are. None at all is silent in Zenoh, and worth telling."""
         return self._opener.connected()

@@ -18,7 +18,10 @@ ORDER = [
 """The core, each built on those before it."""
 CORE = set(ORDER)
 """The pure core, which may import only itself."""
-EDGES = {"link", "live", "view", "summary", "wire_range", "record", "recording", "replay", "foxglove", "uwb"}
+EDGES = {
+    "link", "live", "view", "summary", "wire_range", "wire_status", "record", "recording", "replay",
+    "foxglove", "uwb",
+}  # fmt: skip
 DESK = {"operator", "ground", "picture", "demo", "bench", "simulate", "publish", "check"}
 TOP = {"cli", "cli_publish", "commands", "fly", "config", "exits", "__main__"} | DESK
 
