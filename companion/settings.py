@@ -78,7 +78,7 @@ class RangesSettings(Table, frozen=True):
             ge=0.02,
             le=5.0,
             description=(
-                "Older ranges are stale: dropped. Judged from the publisher's own spacing, so its "
+                "Older ranges are stale: dropped. Judged from the publisher's own stamps or numbers, so its "
                 "clock need not be set."
             ),
         ),

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from random import Random
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from companion import gate
 from companion.settings import RangesSettings
@@ -64,6 +67,54 @@ def test_a_backlog_that_arrives_late_is_stale_whatever_the_publishers_clock_says
     assert verdicts(*on_time, *frozen, *after) == (
         [Verdict.ACCEPTED] * 5 + [Verdict.STALE] * 45 + [Verdict.ACCEPTED] * 4
     )
+
+
+def numbered(first: int, count: int, t_ms: float, spacing_ms: float) -> list[RangeSample]:
+    """Ranges that tell no time; the first of them comes at t_ms."""
+    return [sample(first + k, t_ms=round(t_ms + spacing_ms * k)) for k in range(count)]
+
+
+@pytest.mark.parametrize("spacing_ms", [20, 50, 200])
+def test_a_backlog_without_stamps_is_told_from_its_numbers(spacing_ms: int) -> None:
+    """The link stands still for 3 s, then delivers all at once: what is fresh by its number counts."""
+    frozen, late = 3000 // spacing_ms, 300 // spacing_ms
+    on_time = numbered(0, 40, 0, spacing_ms)
+    burst = numbered(40, frozen, 40 * spacing_ms + 3000, 0)
+    after = numbered(40 + frozen, 40, 40 * spacing_ms + 3000 + spacing_ms, spacing_ms)
+    told = verdicts(*on_time, *burst, *after)
+    assert set(told[:40] + told[-40:]) == {Verdict.ACCEPTED}
+    believed = told[40:-40].count(Verdict.ACCEPTED)
+    assert believed <= 1 + late + 0.1 * frozen + 1  # the clock of numbers runs a tenth fast
+    assert set(told[40 : 40 + frozen - believed]) == {Verdict.STALE}
+
+
+def test_a_publisher_without_stamps_that_paused_is_believed_again_at_its_third_range() -> None:
+    """Its numbers do not count what was not measured, so that a pause looks like a delay."""
+    told = verdicts(*numbered(0, 40, 0, 50), *numbered(40, 40, 5000, 50))
+    assert told == [Verdict.ACCEPTED] * 40 + [Verdict.STALE] * 2 + [Verdict.ACCEPTED] * 38
+
+
+@pytest.mark.parametrize("before_ms", [20, 50, 200])
+@pytest.mark.parametrize("after_ms", [20, 50, 200])
+def test_a_publisher_without_stamps_may_change_its_rate(before_ms: int, after_ms: int) -> None:
+    first = numbered(0, 100, 0, before_ms)
+    told = verdicts(*first, *numbered(100, 200, 100 * before_ms, after_ms))
+    assert told.count(Verdict.STALE) <= 3
+    assert set(told[-180:]) == {Verdict.ACCEPTED}
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32))
+def test_jitter_and_losses_make_no_range_without_a_stamp_stale(seed: int) -> None:
+    """Each is up to 80 ms late, and some never arrive; they stay in order."""
+    chance = Random(seed)
+    steps = [(chance.uniform(0.0, 80.0), chance.randint(1, 5)) for _ in range(400)]
+    t_ms, seq, samples = 0.0, 0, []
+    for late_ms, step in steps:
+        seq += step
+        t_ms = max(t_ms, 50.0 * seq + late_ms)
+        samples.append(sample(seq, t_ms=round(t_ms)))
+    assert set(verdicts(*samples)) == {Verdict.ACCEPTED}
 
 
 def paced(first: int, count: int, offset_ms: int, drift: float = 0.0) -> list[RangeSample]:
