@@ -60,11 +60,17 @@ def _parser() -> argparse.ArgumentParser:
         "companion fly --config config/capture.toml --mavlink udpin:0.0.0.0:14540 "
         "--zenoh-connect tcp/192.168.1.10:7447\n"
         "  companion fly --config config/capture.toml --mavlink serial:/dev/ttyAMA0:921600 "
-        "--set guidance.speed_m_s=0.4",
+        "--set guidance.speed_m_s=0.4\n"
+        "  companion fly --config config/capture.toml --shadow   # look first: nothing is steered",
         _EXITS,
     )
     _config_options(fly)
     _link_options(fly)
+    fly.add_argument(
+        "--shadow",
+        action="store_true",
+        help="compute, show and record everything while somebody else flies; send nothing but the heartbeat",
+    )
     fly.add_argument(
         "--view",
         choices=("auto", "live", "plain", "json", "none"),

@@ -35,7 +35,8 @@ def fly(args: argparse.Namespace) -> int:
     from companion.record import Recorder, start_now
     from companion.view import ViewKind, open_view
 
-    loaded = _load(args.config, _link_overrides(args))
+    shadow = ["mission.shadow=true"] if args.shadow else []
+    loaded = _load(args.config, _link_overrides(args) + shadow)
     view = open_view(sys.stdout, ViewKind(args.view))
     path = args.record or Path("flights") / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
     recorder = Recorder.open(path, start_now(loaded.config, loaded.digest, loaded.sources))

@@ -43,7 +43,7 @@ def fly(
             signed = SignedMavlink.of(settings.vehicle)
             if signed is not None:
                 stack.callback(signed.close)
-            vehicle = VehicleLink.open(settings.vehicle, signed)
+            vehicle = VehicleLink.open(settings.vehicle, signed, heartbeat_only=settings.mission.shadow)
             stack.callback(vehicle.close)
             ranges = RangeLink(settings.ranges, bell.ring)
             stack.callback(ranges.close)
@@ -63,6 +63,8 @@ def fly(
                     view.note(output)
                     log.add(output)
 
+            if settings.mission.shadow:
+                view.tell("shadow: everything is computed, nothing is sent but the heartbeat")
             if recorder.problem is not None:
                 view.tell(f"not recorded: {recorder.problem}")
             final = run(live(vehicle, ranges, bell), settings, send, recorder.write)
@@ -71,6 +73,8 @@ def fly(
         return Exit.LINK
     g = settings.guidance
     flight = report(log, Problem(g.capture_radius_m, g.speed_m_s, g.yaw_rate_max_rad_s))
+    if settings.mission.shadow:
+        print("shadow flight: nothing of this was sent to the vehicle")
     print(text(flight.summary))
     print(f"record: {recorder.problem or recorder.name}")
     _write(flight, json_file, png_file)

@@ -147,7 +147,8 @@ def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Obs
     dt_s = min((t_ns - o.t_ns) * 1e-9, _LONGEST_PREDICTION_S)
     if dt_s <= 0.0:
         return o
-    cfg, sent = p.settings.vehicle, s.steering.setpoint
+    cfg = p.settings.vehicle
+    sent = None if p.settings.mission.shadow else s.steering.setpoint
     commanded = BodyMotion() if sent is None else BodyMotion(sent.speed_m_s, 0.0, sent.yaw_rate_rad_s)
     motion = veh.body_motion(
         s.vehicle, o.motion, commanded, t_ns, dt_s, cfg.velocity_lag_s, cfg.yaw_rate_lag_s

@@ -95,6 +95,8 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
     reason = condition.value
     if condition is Condition.BUDGET_SPENT:
         reason = limits.spent(p.settings.limits, s.steering.limits, t_ns) or reason
+    if p.settings.mission.shadow:
+        reason = f"shadow: {reason}"
     severity = phase.severity(after, condition)
     change = PhaseChange(t_ns=t_ns, before=s.phase, after=after, reason=reason, severity=severity)
     s = replace(s, phase=after, reason=reason, t_phase_ns=t_ns, flight=replace(s.flight, t_request_ns=None))
@@ -133,7 +135,8 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
 
 
 def _facts(p: Plan, s: State, t_ns: int) -> Facts:
-    cfg, v = p.settings.loss, s.vehicle
+    cfg = p.settings.loss
+    v = _as_if_selected(s) if p.settings.mission.shadow else s.vehicle
     range_age_s = age_s(s.ranging.t_ns, t_ns)
     if range_age_s <= cfg.coast_after_s:
         ranges = Ranges.FRESH
@@ -162,6 +165,15 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         and (cfg.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
         purpose=s.steering.command.purpose,
     )
+
+
+def _as_if_selected(s: State) -> Vehicle:
+    """A shadow's view of the vehicle: once it stands by OFFBOARD is as good as selected, before that not."""
+    v = s.vehicle
+    if v.actual is None:
+        return v
+    mode = FlightMode.OFFBOARD if s.phase in phase.STREAMING else FlightMode.AUTO_LOITER
+    return v._replace(actual=mode, intended=mode)
 
 
 # -------------------------------------------------------------------------------------------- control

@@ -27,6 +27,15 @@ class MissionSettings(Table, frozen=True):
     """`[mission]`: what the flight is for."""
 
     target: Annotated[Name, Meta(description="Id of the beacon to fly to.")] = "b1"
+    shadow: Annotated[
+        bool,
+        Meta(
+            description=(
+                "Compute, show and record everything as if OFFBOARD were selected whenever the vehicle is in "
+                "the air, but send nothing but the HEARTBEAT (`companion fly --shadow`)."
+            )
+        ),
+    ] = False
 
 
 class BeaconSettings(Table, frozen=True):

@@ -87,12 +87,17 @@ class VehicleLink:
     """One autopilot behind one transport. Single-threaded: only the loop calls it."""
 
     def __init__(
-        self, settings: VehicleSettings, transport: Transport, signed: SignedMavlink | None = None
+        self,
+        settings: VehicleSettings,
+        transport: Transport,
+        signed: SignedMavlink | None = None,
+        heartbeat_only: bool = False,
     ) -> None:
-        """`signed`: for a signed link; the caller closes it."""
+        """`signed`: for a signed link; the caller closes it. `heartbeat_only`: nothing else ever leaves."""
         self._settings = settings
         self._transport = transport
         self._is_signing = signed is not None
+        self._heartbeat_only = heartbeat_only
         self._mav = signed or mavlink.MAVLink(None, srcSystem=1, srcComponent=settings.component_id)
         self._mav.robust_parsing = True
         self._target_system = settings.target_system
@@ -106,9 +111,11 @@ class VehicleLink:
         self._t_counted_ns = 0
 
     @classmethod
-    def open(cls, settings: VehicleSettings, signed: SignedMavlink | None = None) -> VehicleLink:
+    def open(
+        cls, settings: VehicleSettings, signed: SignedMavlink | None = None, heartbeat_only: bool = False
+    ) -> VehicleLink:
         """Open the configured link. Raises ValueError (not a URL) or OSError (cannot be opened)."""
-        return cls(settings, open_transport(settings.mavlink), signed)
+        return cls(settings, open_transport(settings.mavlink), signed, heartbeat_only)
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
@@ -209,6 +216,8 @@ class VehicleLink:
         )
 
     def _send(self, message: Any) -> None:
+        if self._heartbeat_only and message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            return  # critical: every message passes here
         data = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256  # pack() does not
         self._transport.send(bytes(data))
