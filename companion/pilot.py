@@ -173,7 +173,7 @@ def _as_if_selected(s: State) -> Vehicle:
     if v.actual is None:
         return v
     mode = FlightMode.OFFBOARD if s.phase in phase.STREAMING else FlightMode.AUTO_LOITER
-    return v._replace(actual=mode, intended=mode)
+    return replace(v, actual=mode, intended=mode)
 
 
 # -------------------------------------------------------------------------------------------- control
