@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import inspect
 
+from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.link.transport import parse_url
 from companion.settings import Settings
 from sitl_mock.scenario import Scenario
@@ -84,8 +85,10 @@ def load(
 def contradictions(c: Settings) -> list[str]:
     """What no single value shows: combinations that cannot be flown, each in words."""
     problems = []
-    if c.mission.target not in c.beacons:
-        known = ", ".join(sorted(c.beacons)) or "none"
+    known = ", ".join(sorted(c.beacons)) or "none"
+    if c.mission.kind == "station":
+        problems += _station_contradictions(c, known)
+    elif c.mission.target not in c.beacons:
         problems.append(f"mission.target = {c.mission.target!r}: no such beacon; [beacons] has {known}")
     try:
         parse_url(c.vehicle.mavlink)
@@ -113,6 +116,30 @@ def contradictions(c: Settings) -> list[str]:
         for small, low, large, high in pairs
         if low > high
     ]
+    return problems
+
+
+def _station_contradictions(c: Settings, known: str) -> list[str]:
+    problems = []
+    if len(c.beacons) < BEACONS_NEEDED:
+        problems.append(
+            f"beacons = {known}: mission.kind = 'station' needs at least {BEACONS_NEEDED}, not in one line"
+        )
+    problems += [
+        f"beacons.{name}.station_distance_m = none: mission.kind = 'station' needs the horizontal distance "
+        "of the station from every beacon, above 0"
+        for name, beacon in sorted(c.beacons.items())
+        if beacon.station_distance_m is None
+    ]
+    told = [name for name, beacon in sorted(c.beacons.items()) if beacon.station_bearing_rad is not None]
+    if told and c.station.scheme != "station-paper":
+        problems.append(
+            f"beacons.{told[0]}.station_bearing_rad = {c.beacons[told[0]].station_bearing_rad:g}: only for "
+            f"station.scheme = 'station-paper'; {c.station.scheme!r} assumes no bearing"
+        )
+    elif told and len(told) < len(c.beacons):
+        lacking = ", ".join(name for name in sorted(c.beacons) if name not in told)
+        problems.append(f"beacons.ID.station_bearing_rad: for all beacons or none; not given for {lacking}")
     return problems
 
 

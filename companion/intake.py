@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from companion import gate
 from companion import vehicle as veh
+from companion.guidance.scheme import UNKNOWN_M
 from companion.state import Observing, Plan, State
 from companion.types import (
     Attitude,
@@ -61,8 +62,35 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     s = replace(s, observing=replace(o, guidance=guidance))
     if not guidance.accepted:
         return _reject(s, Verdict.OUTLIER)
-    r = replace(r, t_ns=e.t_ns, accepted=r.accepted + 1, range_m=e.range_m, verdict=Verdict.ACCEPTED)
+    heard = {**r.heard, e.beacon: e.t_ns}
+    r = replace(
+        r,
+        t_ns=e.t_ns,
+        heard=heard,
+        t_enough_ns=_enough(p, s, heard),
+        accepted=r.accepted + 1,
+        range_m=e.range_m,
+        verdict=Verdict.ACCEPTED,
+    )
     return replace(s, ranging=r)
+
+
+def _enough(p: Plan, s: State, heard: dict[str, int]) -> int | None:
+    """One silent beacon of many is no loss: the time of the newest range but as many as are needed."""
+    times = sorted(heard.values(), reverse=True)
+    needed = beacons_needed(p, s)
+    before = s.ranging.t_enough_ns
+    if len(times) < needed:
+        return before
+    return times[needed - 1] if before is None else max(before, times[needed - 1])
+
+
+def beacons_needed(p: Plan, s: State) -> int:
+    """So many beacons must be heard now."""
+    if p.to_find == p.to_keep:
+        return p.to_find
+    is_located = p.scheme.knowledge(p.scheme.p, s.observing.guidance).sigma_d_m < UNKNOWN_M
+    return p.to_keep if is_located else p.to_find
 
 
 def _on_attitude(p: Plan, s: State, e: Attitude) -> State:

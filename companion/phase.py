@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from enum import Enum
 from typing import NamedTuple
 
-from companion.guidance.scheme import PROBE, REST, TRACK
+from companion.guidance.scheme import PROBE, REFUSE, REST, STAY, TRACK
 from companion.types import FlightMode, Phase, Severity
 
 
@@ -42,7 +42,7 @@ class Facts(NamedTuple):
     budget_spent: bool = False
     hand_over_overdue: bool = False
     purpose: int = PROBE
-    """What the guidance is doing: PROBE, TRACK or REST."""
+    """What the guidance is doing: PROBE, TRACK, REST, STAY or REFUSE."""
 
 
 class Condition(Enum):
@@ -72,6 +72,8 @@ class Condition(Enum):
     PROBING = "bearing not known yet: turning"
     TRACKING = "bearing known"
     RESTING = "inside the capture radius"
+    STAYING = "at the station"
+    REFUSING = "the beacons lie in one line: the station may be on either side of it"
 
 
 def conditions(f: Facts) -> Iterator[Condition]:
@@ -116,7 +118,13 @@ def conditions(f: Facts) -> Iterator[Condition]:
         yield _PURPOSE[f.purpose]
 
 
-_PURPOSE = {PROBE: Condition.PROBING, TRACK: Condition.TRACKING, REST: Condition.RESTING}
+_PURPOSE = {
+    PROBE: Condition.PROBING,
+    TRACK: Condition.TRACKING,
+    REST: Condition.RESTING,
+    STAY: Condition.STAYING,
+    REFUSE: Condition.REFUSING,
+}
 
 _C, _P = Condition, Phase
 _LEAVE = {
@@ -128,6 +136,7 @@ _LEAVE = {
     _C.RANGES_LOST: _P.HAND_OVER,
     _C.TELEMETRY_LATE: _P.STALL,
     _C.RANGES_STALE: _P.STALL,
+    _C.REFUSING: _P.HAND_OVER,
 }
 """Every phase that steers the vehicle is left so."""
 
@@ -158,6 +167,7 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
         _C.RANGES_LATE: _P.COAST,
         _C.TRACKING: _P.APPROACH,
         _C.RESTING: _P.HOLD,
+        _C.STAYING: _P.KEEP,
     },
     _P.APPROACH: _LEAVE
     | {
@@ -165,9 +175,17 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
         _C.RANGES_LATE: _P.COAST,
         _C.PROBING: _P.ACQUIRE,
         _C.RESTING: _P.HOLD,
+        _C.STAYING: _P.KEEP,
     },
     _P.HOLD: _LEAVE
     | {
+        _C.PROBING: _P.ACQUIRE,
+        _C.TRACKING: _P.APPROACH,
+    },
+    _P.KEEP: _LEAVE
+    | {
+        _C.BEARING_LOST: _P.STALL,
+        _C.RANGES_LATE: _P.COAST,
         _C.PROBING: _P.ACQUIRE,
         _C.TRACKING: _P.APPROACH,
     },
@@ -177,9 +195,16 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
         _C.PROBING: _P.ACQUIRE,
         _C.TRACKING: _P.APPROACH,
         _C.RESTING: _P.HOLD,
+        _C.STAYING: _P.KEEP,
     },
     # Back from a standstill only through re-acquisition, never straight to the approach.
-    _P.STALL: _LEAVE | {_C.PROBING: _P.ACQUIRE, _C.TRACKING: _P.ACQUIRE, _C.RESTING: _P.HOLD},
+    _P.STALL: _LEAVE
+    | {
+        _C.PROBING: _P.ACQUIRE,
+        _C.TRACKING: _P.ACQUIRE,
+        _C.RESTING: _P.HOLD,
+        _C.STAYING: _P.ACQUIRE,
+    },
     _P.HAND_OVER: {
         _C.FLIGHT_OVER: _P.ENDED,
         _C.VEHICLE_GONE: _P.RELEASED,
@@ -194,7 +219,7 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
     _P.ENDED: {},
 }
 
-MOVING = frozenset({Phase.ACQUIRE, Phase.APPROACH, Phase.COAST})
+MOVING = frozenset({Phase.ACQUIRE, Phase.APPROACH, Phase.KEEP, Phase.COAST})
 """The only phases in which a forward speed may be commanded."""
 
 STREAMING = frozenset({Phase.STANDBY}) | frozenset(p for p in Phase if p.is_engaged)
@@ -220,4 +245,4 @@ def severity(after: Phase, condition: Condition) -> Severity:
         return Severity.CRITICAL
     if after in (Phase.STALL, Phase.COAST, Phase.RELEASED, Phase.INHIBITED):
         return Severity.WARNING
-    return Severity.NOTICE if after in (Phase.ACQUIRE, Phase.HOLD, Phase.ENDED) else Severity.INFO
+    return Severity.NOTICE if after in (Phase.ACQUIRE, Phase.HOLD, Phase.KEEP, Phase.ENDED) else Severity.INFO

@@ -24,6 +24,7 @@ _COLOUR = {
     Phase.ACQUIRE: "#3a7ebf",
     Phase.APPROACH: "#d1495b",
     Phase.HOLD: "#2f9e62",
+    Phase.KEEP: "#2f9e62",
     Phase.COAST: "#e6a117",
     Phase.STALL: "#7b5ea7",
     Phase.HAND_OVER: "#4d4d4d",

@@ -9,12 +9,13 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from companion import limits, phase
-from companion.guidance import schemes
+from companion.guidance import schemes, station, station_paper
+from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.intake import predict, take_in
 from companion.phase import Condition, Facts, Ranges
 from companion.settings import Settings
 from companion.state import STANDSTILL, Flight, Observing, Plan, Ranging, State, Steering, age_s
-from companion.status import snapshot
+from companion.status import snapshot, with_the_silent
 from companion.types import (
     Attitude,
     CompanionHeartbeat,
@@ -40,6 +41,8 @@ _REQUEST_AGAIN_S = 1.0
 
 def plan(settings: Settings) -> Plan:
     """Work out what stays the same for the whole flight."""
+    if settings.mission.kind == "station":
+        return _station_plan(settings)
     target = settings.mission.target
     return Plan(
         settings=settings,
@@ -48,6 +51,20 @@ def plan(settings: Settings) -> Plan:
         ),
         beacons={target: (0, settings.beacons[target])},
     )
+
+
+def _station_plan(settings: Settings) -> Plan:
+    names = sorted(settings.beacons)  # the numbers must not depend on the order in a file: a replay is exact
+    beacons = [settings.beacons[name] for name in names]
+    distances_m = tuple(b.station_distance_m for b in beacons if b.station_distance_m is not None)
+    bearings_rad = tuple(b.station_bearing_rad for b in beacons if b.station_bearing_rad is not None)
+    g, k, v = settings.guidance, settings.station, settings.vehicle
+    numbered = {name: (i, b) for i, (name, b) in enumerate(zip(names, beacons, strict=True))}
+    if k.scheme == "station-paper":
+        paper = station_paper.from_settings(g, k, distances_m, bearings_rad)
+        return Plan(settings, paper, numbered, to_find=len(names), to_keep=BEACONS_NEEDED)
+    scheme = station.station(g, k, distances_m, v.yaw_rate_lag_s, v.velocity_lag_s)
+    return Plan(settings, scheme, numbered, to_find=BEACONS_NEEDED, to_keep=BEACONS_NEEDED - 1)
 
 
 def initial(p: Plan) -> State:
@@ -95,12 +112,19 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
     reason = condition.value
     if condition is Condition.BUDGET_SPENT:
         reason = limits.spent(p.settings.limits, s.steering.limits, t_ns) or reason
+    elif condition in _LOSSES:
+        reason = with_the_silent(p, s, t_ns, reason)
     if p.settings.mission.shadow:
         reason = f"shadow: {reason}"
     severity = phase.severity(after, condition)
     change = PhaseChange(t_ns=t_ns, before=s.phase, after=after, reason=reason, severity=severity)
     s = replace(s, phase=after, reason=reason, t_phase_ns=t_ns, flight=replace(s.flight, t_request_ns=None))
     return _enter(p, s, after, condition, t_ns), change
+
+
+_LOSSES = frozenset(
+    {Condition.RANGES_LATE, Condition.BEARING_LOST, Condition.RANGES_STALE, Condition.RANGES_LOST}
+)
 
 
 def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> State:
@@ -129,7 +153,7 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
         )
     if after is Phase.STANDBY:
         return replace(s, flight=replace(s.flight, was_ready=True))
-    if after is Phase.HOLD:
+    if after in (Phase.HOLD, Phase.KEEP):
         return replace(s, flight=replace(s.flight, captured=True))
     return s
 
@@ -137,7 +161,7 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
 def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     cfg = p.settings.loss
     v = _as_if_selected(s) if p.settings.mission.shadow else s.vehicle
-    range_age_s = age_s(s.ranging.t_ns, t_ns)
+    range_age_s = age_s(s.ranging.t_enough_ns, t_ns)
     if range_age_s <= cfg.coast_after_s:
         ranges = Ranges.FRESH
     elif range_age_s <= cfg.stall_after_s:

@@ -5,12 +5,14 @@ Each class is one table of the TOML file; the descriptions go into the JSON Sche
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
 from companion.guidance.settings import GuidanceSettings
+from companion.guidance.station_settings import StationSettings
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
@@ -26,7 +28,6 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class MissionSettings(Table, frozen=True):
     """`[mission]`: what the flight is for."""
 
-    target: Annotated[Name, Meta(description="Id of the beacon to fly to.")] = "b1"
     shadow: Annotated[
         bool,
         Meta(
@@ -36,6 +37,16 @@ class MissionSettings(Table, frozen=True):
             )
         ),
     ] = False
+    kind: Annotated[
+        Literal["capture", "station"],
+        Meta(
+            description=(
+                "`capture`: fly to one beacon. `station`: fly to the place that lies at given distances from "
+                "three or more beacons, and stay."
+            )
+        ),
+    ] = "capture"
+    target: Annotated[Name, Meta(description="`capture`: id of the beacon to fly to.")] = "b1"
 
 
 class BeaconSettings(Table, frozen=True):
@@ -50,6 +61,23 @@ class BeaconSettings(Table, frozen=True):
             description="Range noise, one standard deviation, where the range itself does not tell it.",
         ),
     ] = 0.07
+    station_distance_m: Annotated[
+        Annotated[float, Meta(gt=0.0, le=10_000.0)] | None,
+        Meta(
+            description=(
+                "Mission `station`: horizontal distance of the station from this beacon, d* of the paper."
+            )
+        ),
+    ] = None
+    station_bearing_rad: Annotated[
+        Annotated[float, Meta(ge=-math.pi, le=math.pi)] | None,
+        Meta(
+            description=(
+                "`station-paper`: the beacon's bearing when guidance begins (right positive), which the "
+                "paper takes as known; for all beacons or none."
+            )
+        ),
+    ] = None
 
 
 class RangesSettings(Table, frozen=True):
@@ -327,6 +355,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ranges: RangesSettings = RangesSettings()
     vehicle: VehicleSettings = VehicleSettings()
     guidance: GuidanceSettings = GuidanceSettings()
+    station: StationSettings = StationSettings()
     stream: StreamSettings = StreamSettings()
     status: StatusSettings = StatusSettings()
     loss: LossSettings = LossSettings()

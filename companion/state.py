@@ -24,17 +24,24 @@ class Plan(msgspec.Struct, frozen=True, gc=False):
     scheme: Scheme
     beacons: dict[str, tuple[int, BeaconSettings]]
     """Beacon id → its number in the scheme and what is known of it."""
+    to_find: int = 1
+    to_keep: int = 1
+    """So many beacons must be heard until the target or station is located, and after that."""
 
 
 class Ranging(msgspec.Struct, frozen=True, gc=False):
     """What has become of the ranges."""
 
-    tracks: dict[str, gate.Track] = {}  # never changed in place, as the two below
+    tracks: dict[str, gate.Track] = {}  # never changed in place, as the three below
     rejected: dict[Verdict, int] = {}
     malformed: dict[str, int] = {}
     accepted: int = 0
     t_ns: int | None = None
     """When a range was believed last."""
+    heard: dict[str, int] = {}
+    """When a range of each beacon was believed last."""
+    t_enough_ns: int | None = None
+    """Until when enough beacons were heard: losses are judged by that."""
     range_m: float | None = None
     verdict: Verdict = Verdict.ACCEPTED
     """What became of the last range."""

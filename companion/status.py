@@ -15,12 +15,27 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
         missing.append(f"autopilot HEARTBEAT on {cfg.vehicle.mavlink}")
     elif age_s(s.vehicle.t_attitude_ns, t_ns) > cfg.loss.telemetry_after_s:
         missing.append(f"ATTITUDE on {cfg.vehicle.mavlink}")
-    if age_s(s.ranging.t_ns, t_ns) > cfg.loss.coast_after_s:
+    if age_s(s.ranging.t_enough_ns, t_ns) > cfg.loss.coast_after_s:
         door = ", ".join(cfg.ranges.connect + cfg.ranges.listen) or "no endpoint configured"
         missing.extend(
-            f"ranges of beacon {beacon!r} (Zenoh site {cfg.ranges.site!r}, {door})" for beacon in p.beacons
+            f"ranges of beacon {beacon!r} (Zenoh site {cfg.ranges.site!r}, {door})"
+            for beacon in silent(p, s, t_ns)
         )
     return tuple(missing)
+
+
+def silent(p: Plan, s: State, t_ns: int) -> list[str]:
+    """The beacons of which no range has been believed lately."""
+    late_s = p.settings.loss.coast_after_s
+    return [beacon for beacon in p.beacons if age_s(s.ranging.heard.get(beacon), t_ns) > late_s]
+
+
+def with_the_silent(p: Plan, s: State, t_ns: int, reason: str) -> str:
+    """The reason of a loss; where some of several beacons are still heard, with those that are not."""
+    quiet = silent(p, s, t_ns)
+    if len(quiet) == len(p.beacons):
+        return reason
+    return reason.replace("no ranges", f"too few beacons ({', '.join(quiet)} silent)")
 
 
 def snapshot(p: Plan, s: State, t_ns: int) -> Status:
@@ -55,4 +70,12 @@ def snapshot(p: Plan, s: State, t_ns: int) -> Status:
         path_m=s.observing.path_m,
         engaged_s=engaged_s,
         captured=s.flight.captured,
+        beacons=_ages(p, s, t_ns),
     )
+
+
+def _ages(p: Plan, s: State, t_ns: int) -> dict[str, float | None]:
+    if p.settings.mission.kind != "station":
+        return {}
+    heard = s.ranging.heard
+    return {beacon: age_s(heard[beacon], t_ns) if beacon in heard else None for beacon in p.beacons}

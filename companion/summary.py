@@ -243,7 +243,7 @@ def _engagement_ns(log: FlightLog) -> tuple[int | None, int | None]:
             begin, end, hold = change.t_ns, None, None
         elif change.before.is_engaged and not change.after.is_engaged:
             end = change.t_ns
-        if change.after is Phase.HOLD:
+        if change.after in (Phase.HOLD, Phase.KEEP):
             hold = change.t_ns
     if begin is None or log.last is None:
         return None, None

@@ -264,6 +264,8 @@ class Phase(Enum):
     """Engaged; flying to the target."""
     HOLD = "hold"
     """Engaged; inside the capture radius at zero speed."""
+    KEEP = "keep"
+    """Engaged; at the station: standing, creeping back where a drift carries it off (or circling)."""
     COAST = "coast"
     """Engaged; no fresh range, flying on the prediction for a short while."""
     STALL = "stall"
@@ -286,7 +288,9 @@ class Phase(Enum):
         return self in _ENGAGED
 
 
-_ENGAGED = frozenset({Phase.ACQUIRE, Phase.APPROACH, Phase.HOLD, Phase.COAST, Phase.STALL, Phase.HAND_OVER})
+_ENGAGED = frozenset(
+    {Phase.ACQUIRE, Phase.APPROACH, Phase.HOLD, Phase.KEEP, Phase.COAST, Phase.STALL, Phase.HAND_OVER}
+)
 
 
 class PhaseChange(Output, frozen=True, gc=False, tag="phase_change"):
@@ -299,7 +303,7 @@ class PhaseChange(Output, frozen=True, gc=False, tag="phase_change"):
 
 
 class Estimate(msgspec.Struct, frozen=True, gc=False):
-    """What the observer knows of the target. The sigmas are one standard deviation."""
+    """What the observer knows of the target, or of the station. The sigmas are one standard deviation."""
 
     distance_m: Annotated[float, Meta(description="horizontal distance of the target, metres")]
     distance_sigma_m: Annotated[float, Meta(description="its standard deviation, metres")]
@@ -337,7 +341,11 @@ class Status(Output, frozen=True, gc=False, tag="status"):
     heading_rad: Annotated[float | None, Meta(description="counter-clockwise from East, radians")]
     path_m: Annotated[float, Meta(description="flown since OFFBOARD was selected, metres")]
     engaged_s: Annotated[float, Meta(description="time since then, or that it lasted, seconds")]
-    captured: Annotated[bool, Meta(description="whether the target was reached since then")]
+    captured: Annotated[bool, Meta(description="whether target or station was reached since then")]
+    beacons: Annotated[
+        dict[str, float | None],
+        Meta(description="station keeping: seconds since each beacon's last believed range; null: never"),
+    ] = {}
 
 
 AnyOutput = RangeVerdict | Setpoint | ModeRequest | CompanionHeartbeat | PhaseChange | Status

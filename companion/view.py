@@ -41,6 +41,7 @@ _STYLE = {
     Phase.ACQUIRE: "bold blue",
     Phase.APPROACH: "bold magenta",
     Phase.HOLD: "bold green",
+    Phase.KEEP: "bold green",
     Phase.COAST: "bold yellow",
     Phase.STALL: "bold red",
     Phase.HAND_OVER: "bold red",

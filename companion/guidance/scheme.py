@@ -16,6 +16,10 @@ TRACK = 1
 """Flying to it."""
 REST = 2
 """Inside the capture radius, speed zero."""
+STAY = 3
+"""At the station: standing, creeping back where a drift carries it off, or on the circle around it."""
+REFUSE = 4
+"""The beacons do not tell where the station is (they lie in one line): it cannot be flown to."""
 UNKNOWN_M = 1e6
 """`sigma_d_m` of a `Knowledge` before the first estimate: then its d_m and theta_rad mean nothing."""
 
@@ -30,7 +34,7 @@ class Knowledge(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What a scheme asks for: forward speed, yaw rate, and PROBE, TRACK or REST as its purpose."""
+    """What is asked for: forward speed, yaw rate, and its purpose (PROBE, TRACK, REST, STAY, REFUSE)."""
 
     v_m_s: float
     omega_rad_s: float

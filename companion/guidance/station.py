@@ -15,15 +15,13 @@ from typing import NamedTuple
 
 from companion.guidance import station_fit, station_pose, station_search, station_steer
 from companion.guidance.model import clip, wrap
-from companion.guidance.scheme import PROBE, UNKNOWN_M, Command, Knowledge, Scheme
+from companion.guidance.scheme import PROBE, REFUSE, UNKNOWN_M, Command, Knowledge, Scheme
 from companion.guidance.settings import GuidanceSettings
 from companion.guidance.station_fit import Block, Common, Fit, Moments, Solution
 from companion.guidance.station_pose import Pose
-from companion.guidance.station_settings import StationSettings
+from companion.guidance.station_settings import BEACONS_NEEDED, StationSettings
 from companion.guidance.station_steer import Law, Situation, Stay
 
-NEEDED = 3
-"""Fewer beacons do not determine the station."""
 FIRST_RANGES = 5
 """A beacon is heard once the median of this many ranges is known."""
 NEAR_RANGE_M = 0.2
@@ -224,7 +222,7 @@ def _reject(p: Parameters, s: Station, beacon: int) -> Station:
         return s._replace(beacons=_with(s.beacons, beacon, b._replace(seen=0, rejected=0.0)))
     others = [o for i, o in enumerate(s.beacons) if i != beacon and o.located and s.t - o.t < FRESH_S]
     doubted = 2 * sum(o.rejected > 0.4 for o in others) > len(others)
-    if len(others) < 2 or doubted or (len(others) < NEEDED and not s.stay.is_there):
+    if len(others) < 2 or doubted or (len(others) < BEACONS_NEEDED and not s.stay.is_there):
         return _fresh(p, s.turn)
     return s._replace(beacons=_with(s.beacons, beacon, _UNSEEN))
 
@@ -236,9 +234,9 @@ def command(p: Parameters, s: Station, dt_s: float, yaw_rate_rad_s: float) -> tu
     """Stand, turn to find out, fly there, or stay."""
     stand = Command(0.0, 0.0, PROBE) if p.law.can_stop else Command(p.law.v, s.turn * p.law.omega_max, PROBE)
     if s.problem == Problem.COLLINEAR:
-        return s, stand
+        return s, Command(stand.v_m_s, stand.omega_rad_s, REFUSE)
     if s.mode == Mode.WAIT:
-        if sum(b.seen >= FIRST_RANGES for b in s.beacons) < NEEDED:
+        if sum(b.seen >= FIRST_RANGES for b in s.beacons) < BEACONS_NEEDED:
             return s._replace(problem=Problem.TOO_FEW if s.t > PATIENCE_S else Problem.NONE), stand
         beacons = tuple(b._replace(t=b.t - s.t) for b in s.beacons)
         s = s._replace(
@@ -297,7 +295,7 @@ def _advance(p: Parameters, s: Station, looks: int, fits: int) -> Station:
                 found = station_search.Candidate(i, b.moments, p.distances[i], places)
             search = station_search.look(search, found)
         return s._replace(search=search)
-    if len(search.candidates) < NEEDED:
+    if len(search.candidates) < BEACONS_NEEDED:
         return s._replace(search=station_search.NEW)
     if not search.starts:
         search = station_search.plan(search)
@@ -431,8 +429,8 @@ def station(
 
     `state.problem` tells why it does not get on. Raises ValueError for fewer than three beacons.
     """
-    if len(distances_m) < NEEDED:
-        raise ValueError(f"{len(distances_m)} beacons: a station needs at least {NEEDED}, not in one line")
+    if len(distances_m) < BEACONS_NEEDED:
+        raise ValueError(f"{len(distances_m)} beacons: a station needs at least {BEACONS_NEEDED}")
     law = Law(
         v=settings.speed_m_s,
         omega_max=settings.yaw_rate_max_rad_s,

@@ -13,10 +13,15 @@ from typing import NamedTuple
 
 from companion.guidance import luenberger, model
 from companion.guidance.model import Lifted
-from companion.guidance.scheme import PROBE, REST, TRACK, UNKNOWN_M, Command, Knowledge, Scheme
+from companion.guidance.scheme import PROBE, STAY, TRACK, UNKNOWN_M, Command, Knowledge, Scheme
+from companion.guidance.settings import GuidanceSettings
+from companion.guidance.station_settings import StationSettings
 
 PARALLEL_M_S = 1e-3
 """|a| counts as at least this much (m/s): at sin θ = 0 the yaw rate cannot move d, and no solution exists."""
+
+FAR = 2.0
+"""What has stopped is told to have left when a distance is wrong by this many ε."""
 
 
 class IntegralGains(NamedTuple):
@@ -99,12 +104,15 @@ class BeaconObserver(NamedTuple):
 
 
 class PaperStation(NamedTuple):
-    """State: an observer per beacon, the yaw rate seen last, and whether the vehicle has stopped."""
+    """State: an observer per beacon, the yaw rate seen last, and whether the vehicle has come to stop.
+
+    `stays` does not fly anything: it keeps what people are told from changing with the noise of a range.
+    """
 
     accepted: float
     beacons: tuple[BeaconObserver, ...]
     omega_rad_s: float
-    rests: bool
+    stays: bool
 
 
 def initial(p: Parameters) -> PaperStation:
@@ -127,7 +135,7 @@ def predict(
             w = model.clip(b.integral + error(d_star, b.d_m) * dt_s, p.integral_max)
             b = BeaconObserver(model.flow(b.x, m), True, b.d_m, b.sigma_m, w, b.since_s + dt_s)
         beacons.append(b)
-    return PaperStation(s.accepted, tuple(beacons), yaw_rate_rad_s, s.rests)
+    return PaperStation(s.accepted, tuple(beacons), yaw_rate_rad_s, s.stays)
 
 
 def error(d_star_m: float, d_m: float) -> float:
@@ -162,7 +170,7 @@ def update(
         x = luenberger.correct(b.x, k, y_o, b.since_s)
     b = BeaconObserver(x, True, d, sigma_d, b.integral, 0.0)
     beacons = (*s.beacons[:beacon], b, *s.beacons[beacon + 1 :])
-    return PaperStation(1.0, beacons, s.omega_rad_s, s.rests)
+    return PaperStation(1.0, beacons, s.omega_rad_s, s.stays)
 
 
 def steer(p: Parameters, d_m: float, theta_rad: float, integral: float) -> float:
@@ -182,11 +190,13 @@ def command(
     if not all(b.is_seen for b in s.beacons):
         return s, Command(0.0, 0.0, PROBE)
     b = s.beacons[_worst(p, s)]
-    rests = max(abs(error(d, b.d_m)) for b, d in zip(s.beacons, p.distances, strict=True)) <= p.radius
-    s = PaperStation(s.accepted, s.beacons, s.omega_rad_s, rests)
-    if rests:
-        return s, Command(0.0, 0.0, REST)
-    return s, Command(p.v, steer(p, b.d_m, model.bearing(b.x), b.integral), TRACK)
+    worst = max(abs(error(d, b.d_m)) for b, d in zip(s.beacons, p.distances, strict=True))
+    stays = worst <= (FAR * p.radius if s.stays else p.radius)
+    s = PaperStation(s.accepted, s.beacons, s.omega_rad_s, stays)
+    if worst <= p.radius:
+        return s, Command(0.0, 0.0, STAY)
+    omega = steer(p, b.d_m, model.bearing(b.x), b.integral)
+    return s, Command(p.v, omega, STAY if stays else TRACK)
 
 
 def _worst(p: Parameters, s: PaperStation) -> int:
@@ -233,3 +243,23 @@ def station_paper(
         bearings_rad,
     )
     return Scheme(p, initial, predict, update, command, knowledge)
+
+
+def from_settings(
+    settings: GuidanceSettings,
+    keeping: StationSettings,
+    distances_m: tuple[float, ...],
+    bearings_rad: tuple[float, ...],
+) -> Scheme:
+    """The paper's scheme as configured, see `station_paper`."""
+    return station_paper(
+        distances_m,
+        settings.speed_m_s,
+        settings.yaw_rate_max_rad_s,
+        keeping.radius_m,
+        pole_rad_s=settings.luenberger_pole_rad_s,
+        yaw_rate_floor_rad_s=settings.luenberger_yaw_rate_floor_rad_s,
+        q=keeping.paper_q,
+        r=keeping.paper_r,
+        bearings_rad=bearings_rad,
+    )

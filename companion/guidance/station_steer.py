@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from companion.guidance import lq
 from companion.guidance.model import clip, wrap
-from companion.guidance.scheme import REST, TRACK, Command
+from companion.guidance.scheme import STAY, TRACK, Command
 
 DRIFT_FLOOR_M_S = 0.03
 """An estimated drift of this size may be none at all, and is taken for none."""
@@ -28,7 +28,9 @@ ALIGNED_RAD = 0.3
 LOOK_S = 2.5
 """At the station, head for the point from which the drift would bring the vehicle here in this time."""
 SETTLE_S = 2.0
-"""The vehicle rests at the station after it has been there for this long."""
+"""The vehicle stays at the station after it has been near for this long."""
+NEAR, FAR = 0.5, 1.0
+"""Near is within the first part of the radius; what stays is near until it is beyond the second."""
 CIRCLE_MARGIN = 1.15
 """The smallest circle is this much wider than the tightest turn."""
 
@@ -63,7 +65,7 @@ class Situation(NamedTuple):
 
 class Stay(NamedTuple):
     """Whether the vehicle has come to the station, whether it creeps back, and for how long the station has
-    seemed near: it rests once that is `SETTLE_S`, as the estimate settles while the vehicle stands."""
+    seemed near: it stays once that is `SETTLE_S`, as the estimate settles while the vehicle stands."""
 
     is_there: bool
     creeps: bool
@@ -74,13 +76,13 @@ AWAY = Stay(False, False, 0.0)
 
 
 def steer(law: Law, q: Situation, stay: Stay, dt_s: float, yaw_rate_rad_s: float) -> tuple[Stay, Command]:
-    """The next command, dt_s after the last. REST means at rest inside the radius; all else is TRACK."""
+    """The next command, dt_s after the last. STAY means settled inside the radius; all else is TRACK."""
     ex, ey, heading, vx, vy, wx, wy = q
     w = math.hypot(wx, wy) + 1e-9
     real = max(0.0, 1.0 - (DRIFT_FLOOR_M_S / w) ** 2)
     wx, wy, w = real * wx, real * wy, real * w
     if not law.can_stop:
-        return AWAY, _circle(law, ex, ey, heading, wx, wy, yaw_rate_rad_s)
+        return _circle(law, q._replace(wx=wx, wy=wy), stay, dt_s, yaw_rate_rad_s)
     # the station as it will be seen when the vehicle has lost its speed
     rx, ry = ex - law.speed_lag * vx, ey - law.speed_lag * vy
     turn = abs(wrap(heading - math.atan2(-wy, -wx))) if w > 0.0 else 0.0
@@ -130,15 +132,23 @@ def _hold(
     error = theta if creeps or away > 0.15 else 0.0
     gains = lq.bearing_gains(1.0, law.v, law.yaw_rate_lag, 0.25 * law.q1, law.q2, law.r)
     omega = clip(lq.bearing_yaw_rate(error, yaw_rate, gains), law.omega_max)
-    is_near = math.hypot(q.ex, q.ey) < (0.85 if stay.near_s > SETTLE_S else 0.5) * law.radius
-    near_s = min(stay.near_s + dt, SETTLE_S + 1.0) if is_near else 0.0
-    purpose = REST if near_s > SETTLE_S and not creeps else TRACK
+    near_s = _near_s(stay, math.hypot(q.ex, q.ey), law.radius, dt)
     stay = Stay(off <= 2.5 * law.radius, creeps, near_s)
-    return stay, Command(law.v if creeps else 0.0, omega, purpose)
+    return stay, Command(law.v if creeps else 0.0, omega, _purpose(near_s))
 
 
-def _circle(law: Law, ex: float, ey: float, heading: float, wx: float, wy: float, yaw_rate: float) -> Command:
+def _near_s(stay: Stay, away_m: float, radius_m: float, dt_s: float) -> float:
+    is_near = away_m < (FAR if stay.near_s > SETTLE_S else NEAR) * radius_m
+    return min(stay.near_s + dt_s, SETTLE_S + 1.0) if is_near else 0.0
+
+
+def _purpose(near_s: float) -> int:
+    return STAY if near_s > SETTLE_S else TRACK
+
+
+def _circle(law: Law, q: Situation, stay: Stay, dt: float, yaw_rate: float) -> tuple[Stay, Command]:
     """Fly to the circle on a tangent and stay on it, counter-clockwise, the drift crabbed away."""
+    ex, ey, heading, _, _, wx, wy = q
     rho = CIRCLE_MARGIN * (law.v + math.hypot(wx, wy)) / law.omega_max
     d = math.hypot(ex, ey)
     aside = min(math.pi, max(0.0, 0.5 * math.pi - math.atan(2.0 * (d - rho) / rho)))
@@ -149,7 +159,8 @@ def _circle(law: Law, ex: float, ey: float, heading: float, wx: float, wy: float
     gains = lq.bearing_gains(max(d, rho), law.v, law.yaw_rate_lag, law.q1, law.q2, law.r)
     around = law.v / rho * math.sin(aside) if d < 2.0 * rho else 0.0
     omega = lq.bearing_yaw_rate(wrap(theta + crab), yaw_rate - around, gains) + around
-    return Command(law.v, clip(omega, law.omega_max), TRACK)
+    near_s = _near_s(stay, d, 3.0 * rho, dt)
+    return Stay(False, False, near_s), Command(law.v, clip(omega, law.omega_max), _purpose(near_s))
 
 
 def _bearing(x: float, y: float, heading: float) -> float:

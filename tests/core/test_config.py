@@ -70,6 +70,40 @@ def test_a_bad_value_is_refused_with_its_name_and_what_is_allowed(override: str,
     assert all(word in text for word in words), text
 
 
+STATION = (
+    "mission.kind='station'",
+    *(f"beacons.b{i}={{station_distance_m={d}}}" for i, d in ((1, 5), (2, 6.5), (3, 5))),
+)
+
+
+def test_a_station_is_given_by_its_distances() -> None:
+    config = load(None, {}, STATION).config
+    assert [b.station_distance_m for b in config.beacons.values()] == [5, 6.5, 5]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (STATION[:3], ["beacons = b1, b2", "'station'", "at least 3"]),
+        ((*STATION, "beacons.b4.height_m=1"), ["beacons.b4.station_distance_m = none", "above 0"]),
+        ((*STATION, "beacons.b2.station_distance_m=0"), ["beacons.b2.station_distance_m = 0", "> 0"]),
+        ((*STATION, "beacons.b2.station_bearing_rad=1"), ["b2.station_bearing_rad = 1", "'station-paper'"]),
+        (
+            (*STATION, "station.scheme='station-paper'", "beacons.b2.station_bearing_rad=1"),
+            ["all beacons or none", "b1, b3"],
+        ),
+        ((*STATION, "station.scheme='station-paper'", "station.can_stop=false"), ["can_stop = False"]),
+        ((*STATION, "station.scheme='spiral'"), ["'spiral'", "'station', 'station-paper'"]),
+    ],
+)
+def test_a_station_that_cannot_be_kept_is_refused(overrides: tuple[str, ...], words: list[str]) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load(None, {}, overrides)
+    text = str(refused.value)
+    assert "\n" not in text
+    assert all(word in text for word in words), text
+
+
 @pytest.mark.parametrize(
     ("content", "words"), [("[guidance", "not TOML"), ("[guidance]\nspeed_m_s = 'fast'\n", "'fast'")]
 )

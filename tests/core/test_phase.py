@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from companion import phase
-from companion.guidance.scheme import PROBE, REST, TRACK
+from companion.guidance.scheme import PROBE, REFUSE, REST, STAY, TRACK
 from companion.phase import MOVING, STREAMING, TABLE, Condition, Facts, Ranges
 from companion.types import FlightMode, Phase
 
@@ -40,7 +40,7 @@ def all_facts() -> Iterator[Facts]:
         yes_no,
         yes_no,
         yes_no,
-        (PROBE, TRACK, REST),
+        (TRACK, REST, STAY, REFUSE),  # PROBE moves as TRACK does
     ):
         yield Facts._make((*values[:7], False, *values[7:]))  # waiting matters on the ground alone
 
@@ -130,6 +130,15 @@ def test_started_in_mid_air_with_offboard_meant_it_only_watches(
         (Phase.ACQUIRE, FLYING, Phase.APPROACH),
         (Phase.APPROACH, FLYING._replace(purpose=PROBE), Phase.ACQUIRE),
         (Phase.APPROACH, FLYING._replace(purpose=REST), Phase.HOLD),
+        (Phase.APPROACH, FLYING._replace(purpose=STAY), Phase.KEEP),
+        (Phase.KEEP, FLYING._replace(purpose=STAY), Phase.KEEP),
+        (Phase.KEEP, FLYING, Phase.APPROACH),
+        (Phase.KEEP, FLYING._replace(ranges=Ranges.LATE, purpose=STAY), Phase.COAST),
+        (Phase.KEEP, FLYING._replace(ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
+        (Phase.COAST, FLYING._replace(purpose=STAY), Phase.KEEP),
+        (Phase.STALL, FLYING._replace(purpose=STAY), Phase.ACQUIRE),
+        (Phase.ACQUIRE, FLYING._replace(purpose=REFUSE), Phase.HAND_OVER),
+        (Phase.APPROACH, FLYING._replace(purpose=REFUSE), Phase.HAND_OVER),
     ],
 )
 def test_the_transitions_of_a_flight(before: Phase, facts: Facts, after: Phase) -> None:

@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable
 from typing import NamedTuple
 
-from companion.guidance.scheme import REST, Scheme
+from companion.guidance.scheme import STAY, Scheme
 
 PERIOD_S = 0.05
 SUBSTEPS = 2
@@ -42,8 +42,8 @@ class Air(NamedTuple):
 
 
 class Stayed(NamedTuple):
-    """When the scheme said that it rests (infinite: never), the path flown through the air until the station
-    was entered last before, the rms and the largest true distance from then on, and the last state."""
+    """When the scheme said first that it stays (infinite: never), the path flown through the air until the
+    station was entered last before, rms and largest true distance from then on, and the last state."""
 
     time_s: float
     path_m: float
@@ -112,7 +112,7 @@ def fly(
         if rested_s < math.inf:
             worst = max(worst, d)
             squares.append(d * d)
-        elif wanted.purpose == REST:
+        elif wanted.purpose == STAY:
             rested_s = t
         if d <= air.radius_m and not inside:
             path_in = path

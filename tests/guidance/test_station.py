@@ -121,7 +121,7 @@ def test_a_vehicle_that_cannot_stop_circles_closely() -> None:
         scheme_for(TRIANGLE, can_stop=False),
         TRIANGLE,
         11,
-        Air(limit_s=120.0),
+        Air(limit_s=120.0, hold_s=120.0),
         watch=lambda t, d, v, omega: seen.append((t, d, v)),
     )
     assert all(v == 0.5 for _, _, v in seen)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
 from companion.guidance import model
-from companion.guidance.scheme import REST
+from companion.guidance.scheme import STAY
 from companion.guidance.station_paper import (
     Parameters,
     error,
@@ -94,6 +94,6 @@ def test_it_rests_where_the_distances_are_those_given() -> None:
     for beacon, range_m in enumerate((3.1, 3.9, 5.2)):
         s = scheme.update(scheme.p, s, beacon, range_m, 0.07, 0.0, 0.0)
     s, wanted = scheme.command(scheme.p, s, 0.05, 0.0)
-    assert (wanted.v_m_s, wanted.purpose) == (0.0, REST)
+    assert (wanted.v_m_s, wanted.purpose) == (0.0, STAY)
     s = scheme.update(scheme.p, s, 2, 5.4, 0.07, 0.0, 0.0)
     assert scheme.command(scheme.p, s, 0.05, 0.0)[1].v_m_s == 0.5
