@@ -12,6 +12,7 @@ import serial
 import zenoh
 
 from companion.exits import Exit
+from companion.link.ground_station import GroundStation
 from companion.link.mavlink import VehicleLink
 from companion.link.signing import SignedMavlink
 from companion.link.systemd import Notifier
@@ -43,7 +44,9 @@ def fly(
             signed = SignedMavlink.of(settings.vehicle)
             if signed is not None:
                 stack.callback(signed.close)
-            vehicle = VehicleLink.open(settings.vehicle, signed, heartbeat_only=settings.mission.shadow)
+            vehicle = VehicleLink.open(
+                settings.vehicle, signed, settings.mission.shadow, GroundStation(settings)
+            )
             stack.callback(vehicle.close)
             ranges = RangeLink(settings.ranges, bell.ring)
             stack.callback(ranges.close)

@@ -255,6 +255,25 @@ class StatusSettings(Table, frozen=True):
     ] = 5.0
 
 
+class GroundStationSettings(Table, frozen=True):
+    """`[ground_station]`: what a ground station is told over MAVLink, through the autopilot."""
+
+    texts: Annotated[
+        bool, Meta(description="STATUSTEXT at every change of phase, and while something is awaited.")
+    ] = True
+    values_rate_hz: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=20.0,
+            description=(
+                "NAMED_VALUE_FLOAT of `range_m`, `bear_deg`, `sigma_deg` and `togo_m`, so many times a "
+                "second at most (and no more than `stream.status_rate_hz`); 0: none."
+            ),
+        ),
+    ] = 4.0
+
+
 class LossSettings(Table, frozen=True):
     """`[loss]`: what happens when something stops coming. Times count from the last good input."""
 
@@ -358,5 +377,6 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     station: StationSettings = StationSettings()
     stream: StreamSettings = StreamSettings()
     status: StatusSettings = StatusSettings()
+    ground_station: GroundStationSettings = GroundStationSettings()
     loss: LossSettings = LossSettings()
     limits: LimitSettings = LimitSettings()

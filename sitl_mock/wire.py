@@ -103,7 +103,12 @@ class Udp:
             return
         data = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256  # pack() leaves it alone
-        if lost:
+        if not lost:
+            self.forward(data)
+
+    def forward(self, data: bytes) -> None:
+        """Send a packet as it is, with its sender's ids."""
+        if self._peer is None:
             return
         try:
             self._socket.sendto(data, self._peer)
@@ -249,6 +254,13 @@ class Wire:
             for message in udp.receive():
                 if not self._lost(link):
                     self._protocol.receive(link, message)
+                    self._forward(link, message)
+
+    def _forward(self, link: Link, message: Message) -> None:
+        """Hand broadcasts of the companion to the ground station, as PX4 does (MAV_n_FORWARD of its port)."""
+        gcs = self.links.get(Link.GCS)
+        if link is Link.ONBOARD and gcs is not None and not hasattr(message, "target_system"):
+            gcs.forward(message.get_msgbuf())
 
     def _step(self) -> None:
         self._steps += 1

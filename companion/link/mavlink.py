@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.link.ground_station import GroundStation
 from companion.link.signing import REFUSALS, SignedMavlink, is_signed
 from companion.link.transport import Transport, open_transport
 from companion.settings import VehicleSettings
@@ -92,13 +93,19 @@ class VehicleLink:
         transport: Transport,
         signed: SignedMavlink | None = None,
         heartbeat_only: bool = False,
+        ground: GroundStation | None = None,
     ) -> None:
-        """`signed`: for a signed link; the caller closes it. `heartbeat_only`: nothing else ever leaves."""
+        """`signed`: for a signed link; the caller closes it. `heartbeat_only`: nothing else ever leaves.
+
+        `ground`: what a ground station is told.
+        """
         self._settings = settings
         self._transport = transport
         self._is_signing = signed is not None
         self._heartbeat_only = heartbeat_only
-        self._mav = signed or mavlink.MAVLink(None, srcSystem=1, srcComponent=settings.component_id)
+        self._ground = ground
+        self._mav = signed or mavlink.MAVLink(None, srcComponent=settings.component_id)
+        self._mav.srcSystem = settings.target_system or 1  # we are part of its system
         self._mav.robust_parsing = True
         self._target_system = settings.target_system
         self._wanted_hz = {
@@ -112,10 +119,14 @@ class VehicleLink:
 
     @classmethod
     def open(
-        cls, settings: VehicleSettings, signed: SignedMavlink | None = None, heartbeat_only: bool = False
+        cls,
+        settings: VehicleSettings,
+        signed: SignedMavlink | None = None,
+        heartbeat_only: bool = False,
+        ground: GroundStation | None = None,
     ) -> VehicleLink:
         """Open the configured link. Raises ValueError (not a URL) or OSError (cannot be opened)."""
-        return cls(settings, open_transport(settings.mavlink), signed, heartbeat_only)
+        return cls(settings, open_transport(settings.mavlink), signed, heartbeat_only, ground)
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
@@ -206,6 +217,9 @@ class VehicleLink:
             main, sub = _PX4_CUSTOM[output.mode]
             base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             self._command(mavlink.MAV_CMD_DO_SET_MODE, base, main, sub)
+        elif self._ground is not None and self._target_system:  # nobody would hear it before
+            for message in self._ground.messages(output):
+                self._send(message)
 
     def _command(self, command: int, *params: float) -> None:
         p = [float(value) for value in params] + [0.0] * (7 - len(params))
