@@ -13,13 +13,14 @@ bearing is known (`settle`) it is linear enough, and the state's place is taken 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+import msgspec
 
 TINY = 1e-9
 """Variances that are divided by are kept above this."""
 
 
-class Noise(NamedTuple):
+class Noise(msgspec.Struct, frozen=True, gc=False):
     """What the filter expects of the vehicle.
 
     One-sigma priors: `drift_m_s` of each component of the drift, `gyro_rad_s` of the gyro's bias. The drift
@@ -35,7 +36,7 @@ class Noise(NamedTuple):
     turn: float
 
 
-class DriftLift(NamedTuple):
+class DriftLift(msgspec.Struct, frozen=True, gc=False):
     """Mean and covariance (its upper triangle) of the six states.
 
     x1: half the squared horizontal distance; (x, y) = ρ: the target relative to the vehicle; (wx, wy): the
@@ -71,7 +72,7 @@ class DriftLift(NamedTuple):
     p55: float
 
 
-class Known(NamedTuple):
+class Known(msgspec.Struct, frozen=True, gc=False):
     """Target and drift as read out last: what the filter is linearised at once the bearing is known."""
 
     x: float

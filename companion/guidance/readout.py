@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import msgspec
+
 from companion.guidance.drift import TINY, DriftLift
 
 AZIMUTHS = 24
@@ -27,7 +29,7 @@ class Information(NamedTuple):
     i33: float
 
 
-class Fix(NamedTuple):
+class Fix(msgspec.Struct, frozen=True, gc=False):
     """Where the target is relative to the vehicle, with the covariance of that, and the drift."""
 
     x: float
@@ -39,7 +41,7 @@ class Fix(NamedTuple):
     wy: float
 
 
-class Circle(NamedTuple):
+class Circle(msgspec.Struct, frozen=True, gc=False):
     """The bearing while it is open: a unit vector in the mean direction, and how much the directions agree.
 
     `resultant` is 0 for a bearing spread over the circle and 1 for a certain one.

@@ -1,14 +1,17 @@
 """The shape that every guidance scheme has, and the values that pass through it.
 
-A scheme is five plain functions over NamedTuples of floats: no clock, no I/O, no arrays, so that the flying
-process runs them as they stand and numba compiles them as they stand for batches. The paper's frame holds
-everywhere (see `companion.types`): yaw rates counter-clockwise positive, θ > 0: the target is on the right.
+A scheme is five plain functions over Structs or NamedTuples of floats: no clock, no I/O, no arrays, so that
+the flying process runs them as they stand and numba compiles them as they stand for batches. The paper's frame
+holds everywhere (see `companion.types`): yaw rates counter-clockwise positive, θ > 0: the target is on the
+right.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
+
+import msgspec
 
 PROBE = 0
 """Turning to find out where the target is."""
@@ -24,7 +27,7 @@ UNKNOWN_M = 1e6
 """`sigma_d_m` of a `Knowledge` before the first estimate: then its d_m and theta_rad mean nothing."""
 
 
-class Knowledge(NamedTuple):
+class Knowledge(msgspec.Struct, frozen=True, gc=False):
     """What an observer knows: horizontal distance, bearing θ in (−π, π], one-sigma of each."""
 
     d_m: float
@@ -33,7 +36,7 @@ class Knowledge(NamedTuple):
     sigma_theta_rad: float
 
 
-class Command(NamedTuple):
+class Command(msgspec.Struct, frozen=True, gc=False):
     """What is asked for: forward speed, yaw rate, and its purpose (PROBE, TRACK, REST, STAY, REFUSE)."""
 
     v_m_s: float
@@ -42,7 +45,7 @@ class Command(NamedTuple):
 
 
 class Scheme(NamedTuple):
-    """One guidance scheme. `p` is its NamedTuple of parameters, `s` its NamedTuple of state.
+    """One guidance scheme. `p` is the record of its parameters, `s` that of its state.
 
     - `initial(p) -> s`
     - `predict(p, s, dt_s, forward_m_s, left_m_s, yaw_rate_rad_s) -> s`: the vehicle moved so for dt_s

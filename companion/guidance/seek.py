@@ -7,7 +7,8 @@ known. The frame is that of `drift`: dead-reckoned, the heading zero where guida
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+import msgspec
 
 from companion.guidance import drift, lq, model, readout
 from companion.guidance.drift import DriftLift, Known, Noise
@@ -51,7 +52,7 @@ PATIENCE_S = 30.0
 """Near the target the certainty that a stop asks for fades over this time: knowledge has its limits too."""
 
 
-class SeekParameters(NamedTuple):
+class SeekParameters(msgspec.Struct, frozen=True, gc=False):
     """The settings as floats; see `GuidanceSettings` for their meaning."""
 
     v: float
@@ -73,7 +74,7 @@ class SeekParameters(NamedTuple):
     paper_law: bool
 
 
-class Motion(NamedTuple):
+class Motion(msgspec.Struct, frozen=True, gc=False):
     """Dead reckoning: heading, smoothed velocity, and the move that the filter has not been told yet."""
 
     heading: float
@@ -84,7 +85,7 @@ class Motion(NamedTuple):
     dt_s: float
 
 
-class Heard(NamedTuple):
+class Heard(msgspec.Struct, frozen=True, gc=False):
     """Ranges: how many until there are enough, the latest d²/2 of these, the average rejection rate, the
     average innovation in sigmas, and the last range believed with its height difference."""
 
@@ -97,7 +98,7 @@ class Heard(NamedTuple):
     sigma_dh_m: float
 
 
-class Manner(NamedTuple):
+class Manner(msgspec.Struct, frozen=True, gc=False):
     """What the command remembers: side of the turn (+1.0 left), resting, turning on the spot, time spent near
     the target."""
 
@@ -107,7 +108,7 @@ class Manner(NamedTuple):
     near_s: float
 
 
-class Seeking(NamedTuple):
+class Seeking(msgspec.Struct, frozen=True, gc=False):
     """State of the scheme. `agreed` is the resultant of the bearing's posterior, `nearest_m` the smallest
     distance since the bearing was known."""
 
