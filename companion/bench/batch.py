@@ -2,8 +2,8 @@
 
 No second copy of the mathematics exists: `compiled` takes a plain function and, one by one, every function of
 this project that it calls. Where the guidance makes Structs, which cost a flight least, numba is given a
-NamedTuple of the same name and fields. Compiling costs some seconds per scheme and process; a flight then costs about a
-millisecond. Results depend on the seed alone, not on the number of threads.
+NamedTuple of the same name and fields. Compiling costs some seconds per scheme and process; a flight then
+costs about a millisecond. Results depend on the seed alone, not on the number of threads.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The shape that every guidance scheme has, and the values that pass through it.
 
 A scheme is five plain functions over Structs or NamedTuples of floats: no clock, no I/O, no arrays, so that
-the flying process runs them as they stand and numba compiles them as they stand for batches. The paper's frame
-holds everywhere (see `companion.types`): yaw rates counter-clockwise positive, θ > 0: the target is on the
-right.
+the flying process runs them as they stand and numba compiles them as they stand for batches. The paper's
+frame holds everywhere (see `companion.types`): yaw rates counter-clockwise positive, θ > 0: the target is on
+the right.
 """
 
 from __future__ import annotations
