@@ -8,12 +8,13 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from companion import gate
+from companion import beacons, gate
 from companion import vehicle as veh
 from companion.guidance.scheme import UNKNOWN_M
 from companion.state import Observing, Plan, State
 from companion.types import (
     Attitude,
+    BeaconTold,
     Event,
     LandedReport,
     LocalMotion,
@@ -41,23 +42,33 @@ def take_in(p: Plan, s: State, event: Event) -> State:
 
 
 def _on_range(p: Plan, s: State, e: RangeSample) -> State:
-    known = p.beacons.get(e.beacon)
-    if known is None:
-        return _reject(s, Verdict.UNKNOWN_BEACON)
-    number, beacon = known
     r = s.ranging
-    track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e)
+    beacon = r.beacons.get(e.beacon)
+    if beacon is None:
+        return _reject(s, Verdict.UNKNOWN_BEACON)
+    cfg = p.settings.vehicle
+    range_m = beacons.range_m(beacon, e)
+    sigma_m = beacons.sigma_m(p.settings.ranges, e, beacon.sigma_m)
+    speed_m_s = veh.speed_m_s(s.vehicle, e.t_ns)
+    rate_m_s = cfg.speed_max_m_s
+    if speed_m_s is not None:
+        rate_m_s = min(rate_m_s, speed_m_s + p.settings.ranges.own_motion_error_m_s)
+    track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e, range_m, sigma_m, rate_m_s)
     if track is not None:
         r = replace(r, tracks={**r.tracks, e.beacon: track})
         s = replace(s, ranging=r)
     if verdict is not Verdict.ACCEPTED:
         return _reject(s, verdict)
     o = predict(p, s, e.t_ns)
-    sigma_m = gate.sigma_m(p.settings.ranges, e, beacon.sigma_m)
-    cfg = p.settings.vehicle
     height_m = cfg.height_m if s.vehicle.height_m is None else s.vehicle.height_m
     guidance = p.scheme.update(
-        p.scheme.p, o.guidance, number, e.range_m, sigma_m, height_m - beacon.height_m, cfg.height_sigma_m
+        p.scheme.p,
+        o.guidance,
+        beacon.number,
+        range_m,
+        sigma_m,
+        height_m - beacon.height_m,
+        cfg.height_sigma_m,
     )
     s = replace(s, observing=replace(o, guidance=guidance))
     if not guidance.accepted:
@@ -69,7 +80,7 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
         heard=heard,
         t_enough_ns=_enough(p, s, heard),
         accepted=r.accepted + 1,
-        range_m=e.range_m,
+        range_m=range_m,
         verdict=Verdict.ACCEPTED,
     )
     return replace(s, ranging=r)
@@ -91,6 +102,14 @@ def beacons_needed(p: Plan, s: State) -> int:
         return p.to_find
     is_located = p.scheme.knowledge(p.scheme.p, s.observing.guidance).sigma_d_m < UNKNOWN_M
     return p.to_keep if is_located else p.to_find
+
+
+def _on_told(p: Plan, s: State, e: BeaconTold) -> State:
+    r, known = s.ranging, p.beacons.get(e.beacon)
+    if known is None:
+        return s
+    beacon = beacons.told(known, p.settings.beacons[e.beacon], e)
+    return replace(s, ranging=replace(r, beacons={**r.beacons, e.beacon: beacon}))
 
 
 def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
@@ -148,6 +167,7 @@ def _on_tick(p: Plan, s: State, e: Tick) -> State:
 
 _TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
     RangeSample: _on_range,
+    BeaconTold: _on_told,
     Attitude: _on_attitude,
     LocalMotion: _on_motion,
     VehicleHeartbeat: _on_heartbeat,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from companion import limits, phase
+from companion.beacons import configured
 from companion.guidance import schemes, station, station_paper
 from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.intake import predict, take_in
@@ -49,7 +50,7 @@ def plan(settings: Settings) -> Plan:
         scheme=schemes.capture(
             settings.guidance, settings.vehicle.yaw_rate_lag_s, settings.vehicle.velocity_lag_s
         ),
-        beacons={target: (0, settings.beacons[target])},
+        beacons={target: configured(0, settings.beacons[target])},
     )
 
 
@@ -59,7 +60,7 @@ def _station_plan(settings: Settings) -> Plan:
     distances_m = tuple(b.station_distance_m for b in beacons if b.station_distance_m is not None)
     bearings_rad = tuple(b.station_bearing_rad for b in beacons if b.station_bearing_rad is not None)
     g, k, v = settings.guidance, settings.station, settings.vehicle
-    numbered = {name: (i, b) for i, (name, b) in enumerate(zip(names, beacons, strict=True))}
+    numbered = {name: configured(i, b) for i, (name, b) in enumerate(zip(names, beacons, strict=True))}
     if k.scheme == "station-paper":
         paper = station_paper.from_settings(g, k, distances_m, bearings_rad)
         return Plan(settings, paper, numbered, to_find=len(names), to_keep=BEACONS_NEEDED)
@@ -70,7 +71,7 @@ def _station_plan(settings: Settings) -> Plan:
 def initial(p: Plan) -> State:
     """Nothing seen, nothing sent."""
     observing = Observing(p.scheme.initial(p.scheme.p))
-    return State(Phase.AWAIT, "started", None, Vehicle(), Ranging(), observing, Steering(), Flight())
+    return State(Phase.AWAIT, "started", None, Vehicle(), Ranging(p.beacons), observing, Steering(), Flight())
 
 
 def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:

@@ -52,7 +52,14 @@ class MissionSettings(Table, frozen=True):
 class BeaconSettings(Table, frozen=True):
     """`[beacons.ID]`: what is known of a beacon. Its horizontal position is not among it."""
 
-    height_m: Annotated[Finite, Meta(description="Height of its antenna above the take-off point.")] = 0.0
+    height_m: Annotated[
+        Finite | None,
+        Meta(
+            description=(
+                "Height of its antenna above the take-off point. Not given: as the beacon tells, else 0."
+            )
+        ),
+    ] = None
     sigma_m: Annotated[
         float,
         Meta(
@@ -78,6 +85,29 @@ class BeaconSettings(Table, frozen=True):
             )
         ),
     ] = None
+    bias_m: Annotated[
+        Annotated[float, Meta(ge=-100.0, le=100.0)] | None,
+        Meta(
+            description=(
+                "Measured less true distance, subtracted from every range; `companion calibrate` finds it. "
+                "Not given: as the beacon tells, else 0."
+            )
+        ),
+    ] = None
+    bias_per_m: Annotated[
+        float, Meta(ge=-0.2, le=0.2, description="And so much more for each metre of distance.")
+    ] = 0.0
+    bias_per_db: Annotated[
+        float,
+        Meta(
+            ge=-0.1,
+            le=0.1,
+            description="And so many metres more for each dB of `rssi_dbm` above `power_dbm`.",
+        ),
+    ] = 0.0
+    power_dbm: Annotated[
+        float, Meta(ge=-300.0, le=100.0, description="Received power at which `bias_m` holds alone.")
+    ] = -80.0
 
 
 class RangesSettings(Table, frozen=True):
@@ -123,9 +153,41 @@ class RangesSettings(Table, frozen=True):
     max_range_m: Annotated[
         float, Meta(gt=0.0, le=10_000.0, description="Longer ranges are absurd: dropped.")
     ] = 200.0
+    nlos: Annotated[
+        Literal["distrust", "drop"],
+        Meta(
+            description=(
+                'A range marked "nlos" (not in line of sight) counts with a larger sigma, or is dropped. '
+                'One marked "unknown" counts as any other.'
+            )
+        ),
+    ] = "distrust"
     nlos_sigma_factor: Annotated[
-        float, Meta(ge=1.0, le=100.0, description='A range marked "nlos" counts with its sigma times this.')
+        float,
+        Meta(ge=1.0, le=100.0, description='`distrust`: the sigma of a range marked "nlos", times this.'),
     ] = 5.0
+    restart_after_s: Annotated[
+        float,
+        Meta(
+            ge=0.1,
+            le=60.0,
+            description=(
+                "Another session of a beacon is believed once the former one has been silent for so long; "
+                "before, it is a second publisher: dropped and named."
+            ),
+        ),
+    ] = 1.0
+    own_motion_error_m_s: Annotated[
+        float,
+        Meta(
+            ge=0.1,
+            le=20.0,
+            description=(
+                "A distance changes no faster than the vehicle moves by its own account and this much more, "
+                "climbing included; ranges that do are dropped as jumps."
+            ),
+        ),
+    ] = 1.0
 
 
 class VehicleSettings(Table, frozen=True):
@@ -198,6 +260,17 @@ class VehicleSettings(Table, frozen=True):
             ),
         ),
     ] = 0.15
+    speed_max_m_s: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=100.0,
+            description=(
+                "Faster than this it never moves, whoever flies it: bounds how fast a distance can change "
+                "where the autopilot reports no velocity."
+            ),
+        ),
+    ] = 15.0
     height_m: Annotated[
         Finite,
         Meta(

@@ -8,9 +8,10 @@ from typing import Any
 import msgspec
 
 from companion import gate
+from companion.beacons import Beacon
 from companion.guidance.scheme import PROBE, Command, Scheme
 from companion.limits import LimitState
-from companion.settings import BeaconSettings, Settings
+from companion.settings import Settings
 from companion.types import Phase, Setpoint, Verdict
 from companion.vehicle import BodyMotion, Vehicle
 
@@ -22,8 +23,8 @@ class Plan(msgspec.Struct, frozen=True, gc=False):
 
     settings: Settings
     scheme: Scheme
-    beacons: dict[str, tuple[int, BeaconSettings]]
-    """Beacon id → its number in the scheme and what is known of it."""
+    beacons: dict[str, Beacon]
+    """Beacon id → its number in the scheme and what the configuration says of it."""
     to_find: int = 1
     to_keep: int = 1
     """So many beacons must be heard until the target or station is located, and after that."""
@@ -32,6 +33,8 @@ class Plan(msgspec.Struct, frozen=True, gc=False):
 class Ranging(msgspec.Struct, frozen=True, gc=False):
     """What has become of the ranges."""
 
+    beacons: dict[str, Beacon]
+    """As in the plan, with what the beacons have told of themselves."""
     tracks: dict[str, gate.Track] = {}  # never changed in place, as the three below
     rejected: dict[Verdict, int] = {}
     malformed: dict[str, int] = {}

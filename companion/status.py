@@ -38,6 +38,21 @@ def with_the_silent(p: Plan, s: State, t_ns: int, reason: str) -> str:
     return reason.replace("no ranges", f"too few beacons ({', '.join(quiet)} silent)")
 
 
+_RIVAL_S = 5.0
+"""A second publisher is told for so long after it was heard last."""
+
+
+def warnings(s: State, t_ns: int) -> tuple[str, ...]:
+    """What a person should know of the ranges, a line each."""
+    told = [b.contradiction for b in s.ranging.beacons.values() if b.contradiction]
+    told.extend(
+        f"two publishers of {beacon}: session {t.session[:16]} is believed, {t.rival[:16]} is not"
+        for beacon, t in s.ranging.tracks.items()
+        if t.rival and age_s(t.rival_t_ns, t_ns) < _RIVAL_S
+    )
+    return tuple(told)
+
+
 def snapshot(p: Plan, s: State, t_ns: int) -> Status:
     """The snapshot that people see."""
     v, r, sent = s.vehicle, s.ranging, s.steering.setpoint
@@ -71,6 +86,7 @@ def snapshot(p: Plan, s: State, t_ns: int) -> Status:
         engaged_s=engaged_s,
         captured=s.flight.captured,
         beacons=_ages(p, s, t_ns),
+        warnings=warnings(s, t_ns),
     )
 
 

@@ -70,6 +70,9 @@ class Verdict(Enum):
     REPEATED = "repeated"
     OUT_OF_ORDER = "out of order"
     STALE = "stale"
+    SECOND_PUBLISHER = "second publisher"
+    NLOS = "no line of sight"
+    JUMP = "jump"
     OUTLIER = "outlier"
 
 
@@ -111,6 +114,14 @@ class RangeSample(Event, frozen=True, gc=False, tag="range"):
     los: LineOfSight = LineOfSight.UNKNOWN
     rssi_dbm: float | None = None
     sent_t_ns: int | None = None
+
+
+class BeaconTold(Event, frozen=True, gc=False, tag="beacon_told"):
+    """What a beacon tells of itself (`uwb/v1/{site}/{beacon}/info`): height of its antenna, bias, metres."""
+
+    beacon: str
+    height_m: float | None = None
+    bias_m: float | None = None
 
 
 class Malformed(Event, frozen=True, gc=False, tag="malformed"):
@@ -174,6 +185,7 @@ class Tick(Event, frozen=True, gc=False, tag="tick"):
 
 AnyEvent = (
     RangeSample
+    | BeaconTold
     | Malformed
     | Attitude
     | LocalMotion
@@ -346,6 +358,12 @@ class Status(Output, frozen=True, gc=False, tag="status"):
         dict[str, float | None],
         Meta(description="station keeping: seconds since each beacon's last believed range; null: never"),
     ] = {}
+    warnings: Annotated[
+        tuple[str, ...],
+        Meta(
+            description="what a person should know of the ranges: two publishers, a beacon that contradicts"
+        ),
+    ] = ()
 
 
 AnyOutput = RangeVerdict | Setpoint | ModeRequest | CompanionHeartbeat | PhaseChange | Status

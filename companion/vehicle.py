@@ -80,6 +80,13 @@ def on_motion(v: Vehicle, e: LocalMotion) -> Vehicle:
     )
 
 
+def speed_m_s(v: Vehicle, t_ns: int) -> float | None:
+    """The horizontal speed that the autopilot tells; None where it tells none now."""
+    if v.t_motion_ns is None or t_ns - v.t_motion_ns >= _MOTION_FRESH_NS:
+        return None
+    return math.hypot(v.forward_m_s, v.left_m_s)
+
+
 def body_motion(
     v: Vehicle,
     before: BodyMotion,

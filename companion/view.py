@@ -301,6 +301,7 @@ def plain_line(status: Status, t0_ns: int) -> str:
         ("malformed", _counts(status.malformed)),
         ("telemetry_age_s", _number(status.telemetry_age_s, 2)),
         ("awaiting", ";".join(status.awaited).replace(" ", "_") or "-"),
+        ("warnings", ";".join(status.warnings).replace(" ", "_") or "-"),
     )
     return " ".join(f"{key}={value}" for key, value in fields)
 
@@ -356,6 +357,7 @@ def panel(status: Status, t0_ns: int) -> RenderableType:
         rows.append(_row("rejected", (rejected, "yellow")))
     if (malformed := _counts(status.malformed)) != "-":
         rows.append(_row("malformed", (malformed, "red")))
+    rows += [_row("warning", (warning, "bold yellow")) for warning in status.warnings]
     rows.append(
         _row(
             "flown",

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from statistics import median
 
-from companion import gate
+from companion import beacons, gate
 from companion.check.report import Part, Row, State
 from companion.gate import Track
 from companion.settings import BeaconSettings, Settings
@@ -80,12 +80,20 @@ class RangeFindings:
         h.count, h.last_ns, h.session = h.count + 1, sample.t_ns, sample.session
         if len(h.sessions) < _MOST_BEACONS:
             h.sessions.add(sample.session)
-        h.track, verdict = gate.judge(self._settings.ranges, h.track, sample)
+        cfg = self._settings
+        known = cfg.beacons.get(sample.beacon, BeaconSettings())
+        beacon = beacons.configured(0, known)
+        range_m, sigma_m = (
+            beacons.range_m(beacon, sample),
+            beacons.sigma_m(cfg.ranges, sample, beacon.sigma_m),
+        )
+        rate_m_s = cfg.vehicle.speed_max_m_s
+        h.track, verdict = gate.judge(cfg.ranges, h.track, sample, range_m, sigma_m, rate_m_s)
         h.verdicts[verdict] += 1
         if verdict is Verdict.ACCEPTED:
             since_ns = sample.t_ns - (h.believed_ns or sample.t_ns)
             h.longest_gap_s, h.believed_ns = max(h.longest_gap_s, since_ns * 1e-9), sample.t_ns
-            h.ranges_m.append(sample.range_m)
+            h.ranges_m.append(range_m)
             h.blocked += sample.los is LineOfSight.NLOS
             if sample.sigma_m is not None:
                 h.sigmas_m.append(sample.sigma_m)
@@ -219,7 +227,7 @@ def _problems(
         )
     sigma_m = median(h.sigmas_m) if h.sigmas_m else known.sigma_m
     if height_m is not None:
-        above_m = abs(height_m - known.height_m)
+        above_m = abs(height_m - (known.height_m or 0.0))
         range_m = median(h.ranges_m)
         if range_m + 3.0 * sigma_m + settings.vehicle.height_sigma_m < above_m:
             yield Row(
@@ -249,7 +257,7 @@ def _strangers(settings: Settings, found: RangeFindings) -> Iterator[Row]:
 def _reach(settings: Settings, range_m: float, height_m: float | None) -> Iterator[Row]:
     """Is the target within the budgets of the flight?"""
     limits, v, g = settings.limits, settings.vehicle, settings.guidance
-    beacon_m = settings.beacons[settings.mission.target].height_m
+    beacon_m = settings.beacons[settings.mission.target].height_m or 0.0
     above_m = (v.height_m if height_m is None else height_m) - beacon_m
     if range_m < abs(above_m):
         return

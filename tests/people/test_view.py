@@ -107,7 +107,7 @@ def test_the_plain_line_is_stable() -> None:
         "t_s=12.3 phase=APPROACH mode=OFFBOARD armed=yes range_m=5.90 range_age_s=0.03 distance_m=5.30 "
         "distance_sigma_m=0.12 bearing_deg=17.2 bearing_sigma_deg=5.7 speed_m_s=0.50 yaw_rate_deg_s=-11.5 "
         "height_m=3.01 path_m=4.20 engaged_s=8.4 captured=no accepted=203 rejected=outlier:4,stale:1 "
-        "malformed=- telemetry_age_s=0.02 awaiting=-"
+        "malformed=- telemetry_age_s=0.02 awaiting=- warnings=-"
     )
     assert (
         change_line(change(4.0, Phase.ACQUIRE, Phase.APPROACH, "bearing known"), T0_NS)
