@@ -1,4 +1,4 @@
-"""How old a range is when it comes: by the publisher's own stamps or numbers, so its clock need not be set."""
+"""How old a range is when it comes: by the publisher's stamps or numbers, so its clock need not be set."""
 
 from __future__ import annotations
 

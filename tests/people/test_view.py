@@ -123,7 +123,7 @@ def test_the_plain_line_has_the_same_keys_when_nothing_is_known() -> None:
     )  # fmt: skip
     keys = [field.split("=")[0] for field in plain_line(status(), T0_NS).split()]
     assert [field.split("=")[0] for field in plain_line(bare, T0_NS).split()] == keys
-    assert plain_line(bare, T0_NS).endswith("awaiting=ranges_of_b1;a_heartbeat")
+    assert plain_line(bare, T0_NS).endswith("awaiting=ranges_of_b1;a_heartbeat warnings=-")
 
 
 def test_plain_view_tells_every_change_and_the_last_status() -> None:
