@@ -6,13 +6,14 @@ import math
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion import pilot
 from companion.settings import LimitSettings, LossSettings, Settings, StreamSettings, VehicleSettings
 from companion.types import (
     Attitude,
+    BeaconTold,
     CompanionHeartbeat,
     Defect,
     Event,
@@ -315,9 +316,11 @@ any_event = st.one_of(
         st.none() | st.integers(0, 2**62),
     ),
     st.builds(Malformed, times, st.sampled_from(Defect)),
+    st.builds(BeaconTold, times, st.sampled_from(["b1", "b2"]), st.none() | floats, st.none() | floats),
 )
 
 
+@settings(deadline=None)
 @given(st.lists(any_event, max_size=60), st.booleans())
 def test_any_events_in_any_order_give_bounded_and_finite_output(events: list[Event], flying: bool) -> None:
     script = Script()
