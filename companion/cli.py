@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from companion import cli_publish, commands
+from companion import cli_publish, cli_watch, commands
 from companion.exits import MEANING, Exit
 
 if TYPE_CHECKING:
@@ -165,6 +165,18 @@ def _parser() -> argparse.ArgumentParser:
         "companion status schema",
     )
 
+    watch = _command(
+        verbs,
+        "watch",
+        commands.watch,
+        "look on while one or many vehicles fly, from any machine on their Zenoh network",
+        cli_watch.WATCH_EXAMPLES,
+        _EXITS,
+    )
+    _config_options(watch)
+    _zenoh_options(watch)
+    cli_watch.watch_options(watch)
+
     operator = _command(
         verbs,
         "operator",
@@ -268,6 +280,10 @@ def _config_options(parser: argparse.ArgumentParser) -> None:
 
 def _link_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mavlink", metavar="URL", help="vehicle link; overrides vehicle.mavlink")
+    _zenoh_options(parser)
+
+
+def _zenoh_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--zenoh-connect",
         metavar="ENDPOINT",

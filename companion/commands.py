@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from companion import cli_publish
+from companion import cli_publish, cli_watch
 from companion.exits import Exit
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def replay(args: argparse.Namespace) -> int:
 def _link_overrides(args: argparse.Namespace) -> list[str]:
     """`--set`, then the options of the two links."""
     overrides = list(args.set)
-    if args.mavlink:
+    if getattr(args, "mavlink", None):
         overrides.append(f"vehicle.mavlink={json.dumps(args.mavlink)}")
     if args.zenoh_connect:
         overrides.append(f"ranges.connect={json.dumps(args.zenoh_connect)}")
@@ -191,6 +191,15 @@ def status_schema(_: argparse.Namespace) -> int:
 
     print(json.dumps(schema(), indent=2))
     return Exit.OK
+
+
+def watch(args: argparse.Namespace) -> int:
+    """Look on while vehicles fly."""
+    loaded = _load(args.config, _link_overrides(args))
+    try:
+        return cli_watch.watch(args, loaded.config.ranges)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
 
 
 def operator(args: argparse.Namespace) -> int:

@@ -453,3 +453,10 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ground_station: GroundStationSettings = GroundStationSettings()
     loss: LossSettings = LossSettings()
     limits: LimitSettings = LimitSettings()
+
+    @property
+    def aim(self) -> tuple[str, float]:
+        """What is flown to (a beacon's id, or `station`), and within which distance it is reached."""
+        if self.mission.kind == "station":
+            return "station", self.station.radius_m
+        return self.mission.target, self.guidance.capture_radius_m

@@ -34,7 +34,7 @@ RULER_HALF = 26
 CLOSE_LIMIT_S = 2.0
 """`close()` waits this long for the last frame: a stalled terminal must not keep the program."""
 
-_STYLE = {
+PHASE_STYLE = {
     Phase.AWAIT: "yellow",
     Phase.STANDBY: "cyan",
     Phase.INHIBITED: "yellow",
@@ -48,6 +48,7 @@ _STYLE = {
     Phase.RELEASED: "yellow",
     Phase.ENDED: "bold",
 }
+"""How each phase looks in a terminal."""
 
 
 class ViewKind(Enum):
@@ -337,7 +338,7 @@ def told_text(item: PhaseChange | str, t0_ns: int) -> Text:
     """A phase change or a told line, as it scrolls above the panel."""
     if isinstance(item, str):
         return Text(item, style="dim")
-    style = "bold red" if item.severity <= Severity.WARNING else _STYLE[item.after]
+    style = "bold red" if item.severity <= Severity.WARNING else PHASE_STYLE[item.after]
     return Text.assemble(
         (f"{_since(item.t_ns, t0_ns):6.1f} s  ", "dim"),
         (item.before.value, "dim"),
@@ -349,7 +350,7 @@ def told_text(item: PhaseChange | str, t0_ns: int) -> Text:
 
 def panel(status: Status, t0_ns: int) -> RenderableType:
     """The panel: phase, target, bearing ruler, setpoint, vehicle, links."""
-    style = _STYLE[status.phase]
+    style = PHASE_STYLE[status.phase]
     rows = [_row("phase", (status.phase.value.upper(), style), (f"  {status.reason}", ""))]
     rows += [_row("awaiting", (awaited, "yellow")) for awaited in status.awaited]
     rows += [_target(status), bearing_ruler(status), _setpoint(status), _vehicle(status), _ranges(status)]
@@ -382,7 +383,7 @@ def bearing_ruler(status: Status) -> Text:
         for i in span:
             cells[i % (2 * RULER_HALF)] = "━"  # beyond straight behind the ruler goes on at its other end
         cells[at] = "●"
-    line_style = _STYLE[status.phase] if span else "dim"
+    line_style = PHASE_STYLE[status.phase] if span else "dim"
     return _row("", ("left ", "dim"), ("".join(cells), line_style), (" right", "dim"))
 
 

@@ -30,9 +30,9 @@ class StatusMessage(msgspec.Struct, frozen=True):
     sent_t_ns: Annotated[
         int, Meta(ge=0, lt=2**62, description="Unix time by the vehicle's own clock, nanoseconds")
     ]
-    target: Annotated[str, Meta(max_length=64, description="id of the beacon that is flown to")]
-    capture_radius_m: Annotated[
-        float, Meta(gt=0.0, description="the target is captured within this horizontal distance, metres")
+    target: Annotated[str, Meta(max_length=64, description="id of the beacon that is flown to, or 'station'")]
+    radius_m: Annotated[
+        float, Meta(gt=0.0, description="it is reached within this horizontal distance, metres")
     ]
     status: Annotated[
         Status, Meta(description="the snapshot; its t_ns is of the vehicle's monotonic clock, nanoseconds")
@@ -64,13 +64,21 @@ _decode = msgspec.json.Decoder(StatusMessage).decode
 
 
 def decode(payload: bytes) -> StatusMessage:
-    """Read and validate a payload. Raises ValueError (msgspec's errors are ValueErrors), with the reason."""
+    """Read and validate a payload. Raises ValueError (msgspec's errors are ValueErrors), with the reason.
+
+    Texts in it can be printed as they are: they hold nothing that a terminal would obey.
+    """
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"payload of {len(payload)} bytes, at most {MAX_PAYLOAD_BYTES}")
     try:
-        return _decode(payload)
+        message = _decode(payload)
     except RecursionError:  # nested a thousand deep in a field that nobody reads
         raise ValueError("nested too deeply") from None
+    s = message.status
+    for text in (message.target, s.reason, *s.awaited, *s.rejected, *s.malformed, *s.beacons):
+        if not text.isprintable():
+            raise ValueError(f"a text holds control characters: {text[:40]!r}")
+    return message
 
 
 def schema() -> dict[str, Any]:

@@ -32,7 +32,7 @@ class GroundStation:
         self._values_period_ns = (
             0.9e9 / settings.ground_station.values_rate_hz if settings.ground_station.values_rate_hz else None
         )  # nine tenths: statuses come a little early or late
-        self._radius_m = settings.guidance.capture_radius_m
+        _, self._radius_m = settings.aim
         self._pending: PhaseChange | None = None
         self._told: tuple[Phase, str] | None = None
         self._t_text_ns: int | None = None
@@ -101,11 +101,11 @@ class GroundStation:
         ]
 
 
-def values(s: Status, capture_radius_m: float) -> dict[str, float]:
+def values(s: Status, radius_m: float) -> dict[str, float]:
     """What is plotted, by name (at most 10 characters); what is not known is left out.
 
     `range_m` slant; `bear_deg` positive to the right, `sigma_deg` its standard deviation; `togo_m` the
-    estimated horizontal distance to the capture radius, 0 inside it.
+    estimated horizontal distance to the radius around target or station, 0 inside it.
     """
     known = {}
     if s.range_m is not None and s.range_age_s is not None and s.range_age_s <= FRESH_S:
@@ -113,7 +113,7 @@ def values(s: Status, capture_radius_m: float) -> dict[str, float]:
     if (e := s.estimate) is not None:
         known["bear_deg"] = math.degrees(e.bearing_rad)
         known["sigma_deg"] = math.degrees(e.bearing_sigma_rad)
-        known["togo_m"] = max(e.distance_m - capture_radius_m, 0.0)
+        known["togo_m"] = max(e.distance_m - radius_m, 0.0)
     return known
 
 

@@ -95,9 +95,6 @@ class StatusLink:
                 continue
             phase = status.phase
             due = time.monotonic() + 0.9 * period_s  # statuses come a little early or late
-            message = StatusMessage(
-                name, seq, time.time_ns(), cfg.mission.target, cfg.guidance.capture_radius_m, status
-            )
-            publisher.put(encode(message))
+            publisher.put(encode(StatusMessage(name, seq, time.time_ns(), *cfg.aim, status)))
             seq += 1
         token.undeclare()  # type: ignore[no-untyped-call]

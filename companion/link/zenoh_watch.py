@@ -7,7 +7,7 @@ from collections import deque
 import zenoh
 
 from companion.link.zenoh_publish import Answer, Heard, heard
-from companion.link.zenoh_session import Opener
+from companion.link.zenoh_session import Opener, words
 from companion.settings import RangesSettings
 
 _BACKLOG = 4096
@@ -23,7 +23,7 @@ class WatchLink:
     def __init__(self, settings: RangesSettings, samples: str, tokens: str, most_bytes: int) -> None:
         """Listen to `samples` and to the liveliness `tokens`; longer payloads than `most_bytes` stay unread.
 
-        Raises zenoh.ZError where an endpoint is malformed or cannot be listened on, or a key is none.
+        Raises OSError where an endpoint is malformed or cannot be listened on.
         """
         self._samples, self._tokens, self._most_bytes = samples, tokens, most_bytes
         self._heard: deque[Heard] = deque(maxlen=_BACKLOG)
@@ -31,7 +31,10 @@ class WatchLink:
         self._answers: dict[str, Answer] = {}
         self.lost = 0
         """Samples that nobody drained in time."""
-        self._opener = Opener(settings, self._listen)
+        try:
+            self._opener = Opener(settings, self._listen)
+        except zenoh.ZError as error:
+            raise OSError(words(error)) from None
 
     @property
     def reason(self) -> str:

@@ -22,8 +22,8 @@ EDGES = {
     "link", "live", "view", "summary", "wire_range", "wire_status", "record", "recording", "replay",
     "foxglove", "uwb",
 }  # fmt: skip
-DESK = {"operator", "ground", "picture", "demo", "bench", "simulate", "publish", "check"}
-TOP = {"cli", "cli_publish", "commands", "fly", "config", "exits", "__main__"} | DESK
+DESK = {"operator", "ground", "picture", "demo", "bench", "simulate", "publish", "check", "watch"}
+TOP = {"cli", "cli_publish", "cli_watch", "commands", "fly", "config", "exits", "__main__"} | DESK
 
 
 def imported(path: Path) -> set[str]:

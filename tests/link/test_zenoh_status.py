@@ -69,7 +69,7 @@ def test_a_watcher_hears_the_status_and_its_end(ends: tuple[RangeLink, Watcher])
         link.send(first)
         time.sleep(0.01)
     (message, *_) = watcher.messages
-    assert (message.status, message.target, message.capture_radius_m) == (first, "b1", 0.5)
+    assert (message.status, message.target, message.radius_m) == (first, "b1", 0.5)
     for i in range(50):  # the rate holds them back, but not what is new in kind, nor the last
         link.send(status(2.0 + 0.1 * i))
     link.send(status(8.0, phase=Phase.HOLD))
