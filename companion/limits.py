@@ -68,7 +68,7 @@ def apply(
         heading, speed = 0.0, 0.0
     if spent(cfg, s, wanted.t_ns) is not None:
         speed = 0.0
-    speed = min(max(speed, 0.0), cfg.speed_m_s, s.speed_m_s + cfg.acceleration_m_s2 * step_s)
+    speed = _clamp(speed, 0.0, min(cfg.speed_m_s, s.speed_m_s + cfg.acceleration_m_s2 * step_s))
     yaw_rate = _slew(
         s.yaw_rate_rad_s,
         _clamp(_finite(wanted.yaw_rate_rad_s), -cfg.yaw_rate_rad_s, cfg.yaw_rate_rad_s),
@@ -112,4 +112,4 @@ def _finite(value: float) -> float:
 
 
 def _clamp(value: float, low: float, high: float) -> float:
-    return min(max(value, low), high)
+    return low if value < low else high if value > high else value

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import Enum
-from typing import NamedTuple
+from functools import lru_cache
+
+import msgspec
 
 from companion.guidance.scheme import PROBE, REFUSE, REST, STAY, TRACK
 from companion.types import FlightMode, Phase, Severity
@@ -17,13 +19,15 @@ from companion.types import FlightMode, Phase, Severity
 class Ranges(Enum):
     """How old the last believed range is (`[loss]`)."""
 
+    __hash__ = object.__hash__  # hashed on every event, as one of the `Facts`
+
     FRESH = "fresh"
     LATE = "late"
     STALE = "stale"
     LOST = "lost"
 
 
-class Facts(NamedTuple):
+class Facts(msgspec.Struct, frozen=True, gc=False):
     """What the table looks at. Everything else of the pilot's state is none of its business."""
 
     stop_asked: bool = False
@@ -48,7 +52,7 @@ class Facts(NamedTuple):
 class Condition(Enum):
     """In order of importance; the text is the reason told to people."""
 
-    __hash__ = object.__hash__  # Enum's own, of the name, is the largest cost of a transition
+    __hash__ = object.__hash__  # Enum's own, of the name, costs more than all else here
 
     FLIGHT_OVER = "disarmed: the flight is over"
     VEHICLE_GONE = "no heartbeat from the vehicle"
@@ -222,12 +226,22 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
 MOVING = frozenset({Phase.ACQUIRE, Phase.APPROACH, Phase.KEEP, Phase.COAST})
 """The only phases in which a forward speed may be commanded."""
 
+STEERED = MOVING | {Phase.HOLD}
+"""The only phases in which the guidance is asked for a command, and a yaw rate may be commanded."""
+
 STREAMING = frozenset({Phase.STANDBY}) | frozenset(p for p in Phase if p.is_engaged)
 """The only phases in which setpoints leave at all."""
 
+ASKING = frozenset({Phase.HAND_OVER})
+"""The only phase in which a mode is asked for."""
 
+
+@lru_cache(maxsize=256)
 def step(phase: Phase, facts: Facts) -> tuple[Phase, Condition | None]:
-    """The next phase, and the condition that decided (None: stay)."""
+    """The next phase, and the condition that decided (None: stay).
+
+    The facts stay the same for many events on end, so the answers to the latest are kept.
+    """
     row = TABLE[phase]
     for condition in conditions(facts):
         after = row.get(condition)

@@ -84,7 +84,7 @@ def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
     if kind in _MERE_TELEMETRY:  # the next range or tick, a moment later, acts on it
         return s, ()
     due = _is_due(p, s, event)
-    if due and (s.phase in phase.MOVING or s.phase is Phase.HOLD):
+    if due and s.phase in phase.STEERED:
         s = _command(p, s, t_ns)
     s, change = _transit(p, s, t_ns)  # critical: between command and setpoint, so that it has the last word
     outputs: list[Output] = [] if change is None else [change]
@@ -163,10 +163,13 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     cfg = p.settings.loss
     v = _as_if_selected(s) if p.settings.mission.shadow else s.vehicle
     range_age_s = age_s(s.ranging.t_enough_ns, t_ns)
+    bearing_lost = False
     if range_age_s <= cfg.coast_after_s:
         ranges = Ranges.FRESH
     elif range_age_s <= cfg.stall_after_s:
         ranges = Ranges.LATE
+        known = p.scheme.knowledge(p.scheme.p, s.observing.guidance)
+        bearing_lost = known.sigma_theta_rad > cfg.coast_bearing_sigma_rad
     else:
         ranges = Ranges.STALE if range_age_s <= cfg.hand_over_after_s else Ranges.LOST
     in_phase_s = age_s(s.t_phase_ns, t_ns)
@@ -181,12 +184,10 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         waited_out=in_phase_s > cfg.wait_s and not s.flight.was_ready,
         telemetry_late=age_s(v.t_attitude_ns, t_ns) > cfg.telemetry_after_s,
         ranges=ranges,
-        bearing_lost=ranges is Ranges.LATE
-        and p.scheme.knowledge(p.scheme.p, s.observing.guidance).sigma_theta_rad
-        > cfg.coast_bearing_sigma_rad,
+        bearing_lost=bearing_lost,
         budget_spent=s.phase.is_engaged
         and limits.spent(p.settings.limits, s.steering.limits, t_ns) is not None,
-        hand_over_overdue=s.phase is Phase.HAND_OVER
+        hand_over_overdue=s.phase in phase.ASKING
         and (cfg.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
         purpose=s.steering.command.purpose,
     )
@@ -227,7 +228,6 @@ def _setpoint(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
     """What leaves of the command: by the phase, then by the limits."""
     cfg, v, g = p.settings.vehicle, s.vehicle, s.steering
     moving = s.phase in phase.MOVING
-    steering = moving or s.phase is Phase.HOLD
     hold_m = g.hold_height_m if s.phase.is_engaged else v.height_m
     climb_m_s = 0.0
     if cfg.setpoint_frame == "body_ned" and hold_m is not None and v.height_m is not None:
@@ -235,7 +235,7 @@ def _setpoint(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
     wanted = Setpoint(
         t_ns=t_ns,
         speed_m_s=g.command.v_m_s if moving else 0.0,  # critical: no speed in any other phase
-        yaw_rate_rad_s=g.command.omega_rad_s if steering else 0.0,
+        yaw_rate_rad_s=g.command.omega_rad_s if s.phase in phase.STEERED else 0.0,
         heading_rad=v.heading_rad,
         height_m=hold_m if cfg.setpoint_frame == "local_ned" else None,
         climb_m_s=climb_m_s,
@@ -259,7 +259,7 @@ def _upkeep(p: Plan, s: State, t_ns: int, outputs: list[Output]) -> tuple[State,
     if f.t_heartbeat_ns is None or t_ns - f.t_heartbeat_ns >= _HEARTBEAT_NS:
         outputs.append(CompanionHeartbeat(t_ns=t_ns, system_status=_system_status(s.phase)))
         s = replace(s, flight=replace(f, t_heartbeat_ns=t_ns))
-    if s.phase is Phase.HAND_OVER and age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S:
+    if s.phase in phase.ASKING and age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S:
         mode = _HAND_OVER_MODE.get(p.settings.loss.hand_over_to)
         if mode is not None:
             outputs.append(ModeRequest(t_ns=t_ns, mode=mode))

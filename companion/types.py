@@ -36,6 +36,8 @@ class LineOfSight(Enum):
 class FlightMode(Enum):
     """Flight modes, named as PX4 names them; ArduPilot's GUIDED is told as `OFFBOARD`."""
 
+    __hash__ = object.__hash__  # looked up on every event; Enum's own hashes the name
+
     OFFBOARD = "OFFBOARD"
     MANUAL = "MANUAL"
     STABILIZED = "STABILIZED"
@@ -292,7 +294,7 @@ class Phase(Enum):
     @property
     def is_final(self) -> bool:
         """True where the loop ends."""
-        return self is Phase.ENDED
+        return self in _FINAL
 
     @property
     def is_engaged(self) -> bool:
@@ -300,6 +302,7 @@ class Phase(Enum):
         return self in _ENGAGED
 
 
+_FINAL = frozenset({Phase.ENDED})
 _ENGAGED = frozenset(
     {Phase.ACQUIRE, Phase.APPROACH, Phase.HOLD, Phase.KEEP, Phase.COAST, Phase.STALL, Phase.HAND_OVER}
 )

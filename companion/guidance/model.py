@@ -42,7 +42,7 @@ def wrap(angle_rad: float) -> float:
 
 def clip(value: float, bound: float) -> float:
     """Limit to [−bound, bound]."""
-    return max(-bound, min(bound, value))
+    return -bound if value < -bound else bound if value > bound else value
 
 
 def pose_rates(heading_rad: float, v_m_s: float, omega_rad_s: float) -> tuple[float, float, float]:

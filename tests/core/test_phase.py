@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator
 
 import pytest
+from msgspec.structs import replace
 
 from companion import phase
 from companion.guidance.scheme import PROBE, REFUSE, REST, STAY, TRACK
@@ -42,7 +43,7 @@ def all_facts() -> Iterator[Facts]:
         yes_no,
         (TRACK, REST, STAY, REFUSE),  # PROBE moves as TRACK does
     ):
-        yield Facts._make((*values[:7], False, *values[7:]))  # waiting matters on the ground alone
+        yield Facts(*values[:7], False, *values[7:])  # waiting matters on the ground alone
 
 
 def test_no_combination_of_facts_leads_to_a_speed_that_is_not_allowed() -> None:
@@ -86,16 +87,16 @@ def test_standby_is_reached_only_while_another_mode_is_known_to_be_meant() -> No
 @pytest.mark.parametrize("before", ENGAGED)
 def test_a_pilot_who_takes_over_silences_the_app_at_once(before: Phase) -> None:
     for intended in (LOITER, OFFBOARD, None):
-        after, why = phase.step(before, FLYING._replace(actual=LOITER, intended=intended, stop_asked=True))
+        after, why = phase.step(before, replace(FLYING, actual=LOITER, intended=intended, stop_asked=True))
         assert (after, why) == (Phase.RELEASED, Condition.LEFT_OFFBOARD)
     assert Phase.RELEASED not in STREAMING
 
 
 def test_released_is_left_only_when_another_mode_is_known_to_be_meant() -> None:
-    released = FLYING._replace(actual=LOITER)
-    assert phase.step(Phase.RELEASED, released._replace(intended=OFFBOARD))[0] is Phase.RELEASED
-    assert phase.step(Phase.RELEASED, released._replace(intended=None))[0] is Phase.RELEASED
-    assert phase.step(Phase.RELEASED, released._replace(intended=LOITER))[0] is Phase.AWAIT
+    released = replace(FLYING, actual=LOITER)
+    assert phase.step(Phase.RELEASED, replace(released, intended=OFFBOARD))[0] is Phase.RELEASED
+    assert phase.step(Phase.RELEASED, replace(released, intended=None))[0] is Phase.RELEASED
+    assert phase.step(Phase.RELEASED, replace(released, intended=LOITER))[0] is Phase.AWAIT
     assert phase.step(Phase.RELEASED, FLYING)[0] is Phase.RELEASED
 
 
@@ -103,42 +104,42 @@ def test_released_is_left_only_when_another_mode_is_known_to_be_meant() -> None:
 def test_started_in_mid_air_with_offboard_meant_it_only_watches(
     actual: FlightMode, intended: FlightMode | None
 ) -> None:
-    facts = FLYING._replace(actual=actual, intended=intended, was_engaged=False)
+    facts = replace(FLYING, actual=actual, intended=intended, was_engaged=False)
     assert phase.step(Phase.AWAIT, facts)[0] is Phase.INHIBITED
     assert phase.step(Phase.INHIBITED, facts)[0] is Phase.INHIBITED
     assert Phase.INHIBITED not in STREAMING
-    assert phase.step(Phase.INHIBITED, facts._replace(actual=LOITER, intended=LOITER))[0] is Phase.AWAIT
+    assert phase.step(Phase.INHIBITED, replace(facts, actual=LOITER, intended=LOITER))[0] is Phase.AWAIT
 
 
 @pytest.mark.parametrize(
     ("before", "facts", "after"),
     [
-        (Phase.APPROACH, FLYING._replace(ranges=Ranges.LATE), Phase.COAST),
-        (Phase.APPROACH, FLYING._replace(ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
-        (Phase.COAST, FLYING._replace(ranges=Ranges.LATE), Phase.COAST),
-        (Phase.COAST, FLYING._replace(ranges=Ranges.STALE), Phase.STALL),
-        (Phase.STALL, FLYING._replace(ranges=Ranges.LOST), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLYING, ranges=Ranges.LATE), Phase.COAST),
+        (Phase.APPROACH, replace(FLYING, ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
+        (Phase.COAST, replace(FLYING, ranges=Ranges.LATE), Phase.COAST),
+        (Phase.COAST, replace(FLYING, ranges=Ranges.STALE), Phase.STALL),
+        (Phase.STALL, replace(FLYING, ranges=Ranges.LOST), Phase.HAND_OVER),
         (Phase.STALL, FLYING, Phase.ACQUIRE),
-        (Phase.HOLD, FLYING._replace(ranges=Ranges.LATE, purpose=REST), Phase.HOLD),
-        (Phase.APPROACH, FLYING._replace(budget_spent=True), Phase.HAND_OVER),
-        (Phase.APPROACH, FLYING._replace(stop_asked=True), Phase.HAND_OVER),
-        (Phase.APPROACH, FLYING._replace(telemetry_late=True), Phase.STALL),
-        (Phase.APPROACH, FLYING._replace(vehicle_gone=True), Phase.RELEASED),
-        (Phase.HOLD, FLYING._replace(armed=False), Phase.ENDED),
-        (Phase.HAND_OVER, FLYING._replace(hand_over_overdue=True), Phase.RELEASED),
-        (Phase.HAND_OVER, FLYING._replace(actual=LAND), Phase.RELEASED),
+        (Phase.HOLD, replace(FLYING, ranges=Ranges.LATE, purpose=REST), Phase.HOLD),
+        (Phase.APPROACH, replace(FLYING, budget_spent=True), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLYING, stop_asked=True), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLYING, telemetry_late=True), Phase.STALL),
+        (Phase.APPROACH, replace(FLYING, vehicle_gone=True), Phase.RELEASED),
+        (Phase.HOLD, replace(FLYING, armed=False), Phase.ENDED),
+        (Phase.HAND_OVER, replace(FLYING, hand_over_overdue=True), Phase.RELEASED),
+        (Phase.HAND_OVER, replace(FLYING, actual=LAND), Phase.RELEASED),
         (Phase.ACQUIRE, FLYING, Phase.APPROACH),
-        (Phase.APPROACH, FLYING._replace(purpose=PROBE), Phase.ACQUIRE),
-        (Phase.APPROACH, FLYING._replace(purpose=REST), Phase.HOLD),
-        (Phase.APPROACH, FLYING._replace(purpose=STAY), Phase.KEEP),
-        (Phase.KEEP, FLYING._replace(purpose=STAY), Phase.KEEP),
+        (Phase.APPROACH, replace(FLYING, purpose=PROBE), Phase.ACQUIRE),
+        (Phase.APPROACH, replace(FLYING, purpose=REST), Phase.HOLD),
+        (Phase.APPROACH, replace(FLYING, purpose=STAY), Phase.KEEP),
+        (Phase.KEEP, replace(FLYING, purpose=STAY), Phase.KEEP),
         (Phase.KEEP, FLYING, Phase.APPROACH),
-        (Phase.KEEP, FLYING._replace(ranges=Ranges.LATE, purpose=STAY), Phase.COAST),
-        (Phase.KEEP, FLYING._replace(ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
-        (Phase.COAST, FLYING._replace(purpose=STAY), Phase.KEEP),
-        (Phase.STALL, FLYING._replace(purpose=STAY), Phase.ACQUIRE),
-        (Phase.ACQUIRE, FLYING._replace(purpose=REFUSE), Phase.HAND_OVER),
-        (Phase.APPROACH, FLYING._replace(purpose=REFUSE), Phase.HAND_OVER),
+        (Phase.KEEP, replace(FLYING, ranges=Ranges.LATE, purpose=STAY), Phase.COAST),
+        (Phase.KEEP, replace(FLYING, ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
+        (Phase.COAST, replace(FLYING, purpose=STAY), Phase.KEEP),
+        (Phase.STALL, replace(FLYING, purpose=STAY), Phase.ACQUIRE),
+        (Phase.ACQUIRE, replace(FLYING, purpose=REFUSE), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLYING, purpose=REFUSE), Phase.HAND_OVER),
     ],
 )
 def test_the_transitions_of_a_flight(before: Phase, facts: Facts, after: Phase) -> None:
