@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -43,7 +44,8 @@ def all_facts() -> Iterator[Facts]:
         yes_no,
         (TRACK, REST, STAY, REFUSE),  # PROBE moves as TRACK does
     ):
-        yield Facts(*values[:7], False, *values[7:])  # waiting matters on the ground alone
+        every: tuple[Any, ...] = (*values[:7], False, *values[7:])  # waiting matters on the ground alone
+        yield Facts(*every)
 
 
 def test_no_combination_of_facts_leads_to_a_speed_that_is_not_allowed() -> None:
