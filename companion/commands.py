@@ -97,22 +97,32 @@ def check(args: argparse.Namespace) -> int:
 
 def sim(args: argparse.Namespace) -> int:
     """Simulate many flights."""
+    from companion.config import ConfigError
+    from companion.goal import true_goal
     from companion.simulate import fly_many, statistics
 
     loaded = _load(args.config, args.set)
     with _Progress("simulated flights", quiet=args.json) as progress:
+        try:
+            true_goal(loaded.config)
+        except ConfigError as error:
+            raise UsageError(str(error)) from error
         results = fly_many(
             loaded.config, args.runs, args.seed, lambda done: progress.told("", done, args.runs)
         )
     figures = statistics(results)
-    print(json.dumps(figures, indent=2) if args.json else _table(figures))
+    print(json.dumps(figures, indent=2) if args.json else _table(figures, loaded.config.mission.kind))
     return Exit.OK
 
 
-def _table(figures: dict[str, Any]) -> str:
+def _table(figures: dict[str, Any], kind: str) -> str:
+    from companion.simulate import KEEP_S
+
+    station = kind == "station"
+    done = "reached the station" if station else "captured the target"
+    then = f"kept it for {KEEP_S:g} s" if station else "came to rest inside the capture radius"
     lines = [
-        f"{figures['captured']} of {figures['runs']} flights captured the target, "
-        f"{figures['rests_inside']} came to rest inside the capture radius",
+        f"{figures['captured']} of {figures['runs']} flights {done}, {figures['rests_inside']} {then}",
         f"{'':28}{'median':>9}{'p95':>9}{'max':>9}{'mean':>9}",
     ]
     rows = {
@@ -121,10 +131,12 @@ def _table(figures: dict[str, Any]) -> str:
         "extra_path_m": "extra path, m",
         "rest_m": "distance at rest, m",
     }
+    if station:
+        rows |= {"hold_rms_m": "distance while kept, rms, m", "hold_worst_m": "and at most, m"}
     for key, name in rows.items():
         values = (figures[key][column] for column in ("median", "p95", "max", "mean"))
         lines.append(f"{name:28}" + "".join("        –" if v is None else f"{v:9.3f}" for v in values))
-    lines += [f"not captured: seed {n['seed']}: {n['ended']}" for n in figures["not_captured"]]
+    lines += [f"not {done.split()[0]}: seed {n['seed']}: {n['ended']}" for n in figures["not_captured"]]
     return "\n".join(lines)
 
 

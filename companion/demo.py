@@ -22,8 +22,9 @@ from typing import IO, NamedTuple
 
 import msgspec
 
-from companion.config import Config, ConfigError, load
+from companion.config import Config, load
 from companion.exits import Exit
+from companion.goal import true_goal
 from companion.picture import PictureError, Truth, draw_flight, headline
 from companion.summary import FlightReport, Pose, Problem, shortest_from_m, text
 from companion.types import FlightMode, PhaseChange, Status
@@ -84,7 +85,9 @@ def demo(
     Raises `companion.config.ConfigError` where the configuration cannot be used.
     """
     config = load(config_file, os.environ).config
-    target = _true_target(config)
+    target = true_goal(config)
+    station = config.mission.kind == "station"
+    beacons = [(at.x_m, at.y_m) for at in config.sim.beacons] if station else []
     out = out or Path("flights") / time.strftime("demo-%Y%m%d-%H%M%S")
     out.mkdir(parents=True, exist_ok=True)
     limit_s = LIMIT_S + (config.sim.limit_s if config_file is not None else 0.0)
@@ -105,7 +108,7 @@ def demo(
         stream.write(f"{line}\n")
     if interrupted:
         return Exit.INTERRUPTED
-    return _tell(target, out, stream)
+    return _tell(target, beacons, out, stream)
 
 
 class _StartError(Exception):
@@ -294,16 +297,9 @@ def in_offboard(rows: Sequence[TruthRow]) -> list[TruthRow]:
     return list(itertools.takewhile(lambda row: row.mode is FlightMode.OFFBOARD, before))
 
 
-def _true_target(config: Config) -> tuple[float, float]:
-    """Where the mock puts the beacon that is flown to."""
-    for beacon in config.sim.beacons:
-        if beacon.id == config.mission.target:
-            return beacon.x_m, beacon.y_m
-    known = ", ".join(beacon.id for beacon in config.sim.beacons)
-    raise ConfigError(f"mission.target = {config.mission.target!r}: no such beacon; [sim] has {known}")
-
-
-def _tell(target: tuple[float, float], out: Path, stream: IO[str]) -> Exit:
+def _tell(
+    target: tuple[float, float], beacons: Sequence[tuple[float, float]], out: Path, stream: IO[str]
+) -> Exit:
     """The summary, the picture and the exit status."""
     try:
         flight = msgspec.json.decode((out / "flight.json").read_bytes(), type=FlightReport)
@@ -319,19 +315,20 @@ def _tell(target: tuple[float, float], out: Path, stream: IO[str]) -> Exit:
         return Exit.NOT_CAPTURED
     captured = verdict.captured and flight.summary.captured
     path = [(row.x_m, row.y_m) for row in in_offboard(rows)]
+    what, done = ("station", "reached") if flight.problem.kind == "station" else ("target", "captured")
     try:
-        title = headline(captured, verdict.time_s, verdict.path_m, verdict.path_ratio)
-        draw_flight(out / "flight.png", flight, Truth(path, target), title)
+        title = headline(captured, verdict.time_s, verdict.path_m, verdict.path_ratio, flight.problem.kind)
+        draw_flight(out / "flight.png", flight, Truth(path, target, beacons), title)
         picture = str(out / "flight.png")
     except PictureError as error:
         picture = f"none: {error}"
     stream.write(
-        f"\nby the truth: target {'captured' if verdict.captured else 'NOT captured'}\n"
-        f"  time           {verdict.time_s:.1f} s from OFFBOARD to the capture radius\n"
+        f"\nby the truth: {what} {done if verdict.captured else f'NOT {done}'}\n"
+        f"  time           {verdict.time_s:.1f} s from OFFBOARD to the radius\n"
         f"  path           {verdict.path_m:.2f} m\n"
         f"  shortest       {verdict.shortest_m:.2f} m\n"
         f"  ratio          {verdict.path_ratio:.3f}\n"
-        f"  at rest        {verdict.rest_m:.2f} m from the target; captured is within "
+        f"  at rest        {verdict.rest_m:.2f} m from the {what}; {done} is within "
         f"{flight.problem.radius_m:.2f} m\n"
         f"  picture        {picture}\n"
     )

@@ -23,7 +23,7 @@ from companion.record import Recorder
 from companion.run import run
 from companion.settings import Settings
 from companion.state import State
-from companion.summary import FlightLog, FlightReport, Problem, report, text
+from companion.summary import FlightLog, FlightReport, problem_of, report, text
 from companion.types import Output, PhaseChange, Status
 from companion.view import View
 
@@ -74,8 +74,7 @@ def fly(
     except (OSError, ValueError, serial.SerialException, zenoh.ZError) as error:
         print(f"companion: link: {error}", file=sys.stderr)
         return Exit.LINK
-    g = settings.guidance
-    flight = report(log, Problem(g.capture_radius_m, g.speed_m_s, g.yaw_rate_max_rad_s))
+    flight = report(log, problem_of(settings))
     if settings.mission.shadow:
         print("shadow flight: nothing of this was sent to the vehicle")
     print(text(flight.summary))

@@ -39,10 +39,12 @@ class PictureError(Exception):
 
 
 class Truth(NamedTuple):
-    """What a simulation knows besides: the true path and the true target, in the local frame, metres."""
+    """What a simulation knows besides, in the local frame, metres: the true path, the true target or station,
+    and the beacons that a station is given by."""
 
     path: Sequence[tuple[float, float]]
     target: tuple[float, float]
+    beacons: Sequence[tuple[float, float]] = ()
 
 
 def draw_flight(
@@ -63,7 +65,7 @@ def draw_flight(
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), wspace=0.05)
     s = flight.summary
-    title = title or headline(s.captured, s.time_s, s.path_m, s.path_ratio)
+    title = title or headline(s.captured, s.time_s, s.path_m, s.path_ratio, flight.problem.kind)
     figure.suptitle(title, fontsize=14, fontweight="bold", color=_INK, x=0.012, ha="left")
     _map(figure.add_subplot(grid[:, 0]), flight, trail, truth)
     first = figure.add_subplot(grid[0, 1])
@@ -78,9 +80,20 @@ def draw_flight(
     figure.savefig(path, format="png", facecolor="white")
 
 
-def headline(captured: bool, time_s: float | None, path_m: float | None, path_ratio: float | None) -> str:
+def headline(
+    captured: bool,
+    time_s: float | None,
+    path_m: float | None,
+    path_ratio: float | None,
+    kind: str = "capture",
+) -> str:
     """A flight in one line."""
-    parts = ["Target captured" if captured else "Target not captured"]
+    done = (
+        ("Station reached", "Station not reached")
+        if kind == "station"
+        else ("Target captured", "Target not captured")
+    )
+    parts = [done[0] if captured else done[1]]
     if time_s is not None and path_m is not None:
         parts.append(f"{time_s:.1f} s, {path_m:.2f} m flown")
     if path_ratio is not None:
@@ -130,13 +143,18 @@ def _arc_and_line(
 
 def _map(axes: Axes, flight: FlightReport, trail: Sequence[TrailPoint], truth: Truth | None) -> None:
     s = flight.summary
+    what = "station" if flight.problem.kind == "station" else "target"
     start = s.start or _first_pose(trail)
     target = None if s.target_x_m is None or s.target_y_m is None else (s.target_x_m, s.target_y_m)
     if truth is not None:
         axes.plot(*zip(*truth.path, strict=True), color=_FAINT, lw=1.0, zorder=2, label="true path")
-        _target(axes, truth.target, flight.problem.radius_m, "*", "#f2b705", "true target")
+        _target(axes, truth.target, flight.problem.radius_m, "*", "#f2b705", f"true {what}")
+        if truth.beacons:
+            axes.plot(
+                *zip(*truth.beacons, strict=True), "^", ms=8, color=_FAINT, mec=_INK, ls="", label="beacons"
+            )
     if target is not None:
-        _target(axes, target, flight.problem.radius_m, "x", _INK, "target, estimated last")
+        _target(axes, target, flight.problem.radius_m, "x", _INK, f"{what}, estimated last")
     aim = truth.target if truth is not None else target
     if start is not None and aim is not None:
         _shortest(axes, start, aim, flight.problem)

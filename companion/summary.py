@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import bisect
 import math
+from typing import Literal
 
 import msgspec
 
 from companion.guidance.model import shortest_path_m, wrap
+from companion.settings import Settings
 from companion.types import AnyOutput, Phase, PhaseChange, Status
 
 TRAIL_LIMIT = 4096
 """Points of the trail kept; when it is full every second one is dropped and the spacing doubled."""
+KNOWN_RAD = 0.5
+"""The bearing is known once its standard deviation is below this."""
 TRAIL_SPACING_S = 0.05
 """Least time between two points of the trail, at first."""
 
@@ -58,19 +62,27 @@ class Pose(msgspec.Struct, frozen=True, gc=False):
 
 
 class Problem(msgspec.Struct, frozen=True, gc=False):
-    """What the flight is held against: the capture radius and the vehicle's limits."""
+    """What the flight is held against: what it goes to, how near, and the vehicle's limits."""
 
     radius_m: float
     speed_m_s: float
     yaw_rate_rad_s: float
+    kind: Literal["capture", "station"] = "capture"
+
+
+def problem_of(settings: Settings) -> Problem:
+    """The problem that is flown with these settings."""
+    g = settings.guidance
+    return Problem(settings.aim[1], g.speed_m_s, g.yaw_rate_max_rad_s, settings.mission.kind)
 
 
 class Summary(msgspec.Struct, frozen=True, gc=False):
     """The flight in figures. None: not reached, or not known.
 
-    `time_s` and `path_m` run from engagement to rest, i.e. to the last entry into HOLD, where the target was
-    captured, else to the end of the engagement. `shortest_m` is the shortest path to the disc with the turn
-    bound, from the pose at engagement to the target as estimated last; `path_ratio` = path_m / shortest_m.
+    `time_s` and `path_m` run from engagement to rest, i.e. to the last entry into HOLD (at a station: KEEP),
+    where the target was captured, else to the end of the engagement. `shortest_m` is the shortest path to the
+    disc with the turn bound, from the pose at engagement to the target as estimated last; `path_ratio` =
+    path_m / shortest_m.
     """
 
     captured: bool
@@ -89,6 +101,13 @@ class Summary(msgspec.Struct, frozen=True, gc=False):
     ranges_accepted: int = 0
     rejected: dict[str, int] = msgspec.field(default_factory=dict)
     malformed: dict[str, int] = msgspec.field(default_factory=dict)
+    kind: Literal["capture", "station"] = "capture"
+    bearing_known_s: float | None = None
+    """From engagement until one sigma of the bearing was below `KNOWN_RAD` first."""
+    kept_s: float | None = None
+    kept_rms_m: float | None = None
+    kept_worst_m: float | None = None
+    """Station: time in KEEP, and rms and greatest of the distances estimated in it."""
 
 
 class FlightReport(msgspec.Struct, frozen=True):
@@ -150,7 +169,14 @@ def summarise(log: FlightLog, problem: Problem) -> Summary:
         start = _pose_at(statuses, begin_ns)
     if start is not None and target is not None:
         shortest_m = shortest_from_m(start, *target, problem)
+    kept = [s for s in statuses if s.phase is Phase.KEEP]
+    away_m = [s.estimate.distance_m for s in kept if s.estimate is not None]
     return Summary(
+        kind=problem.kind,
+        bearing_known_s=_bearing_known_s(statuses, begin_ns),
+        kept_s=_time_in_s(log, Phase.KEEP) if away_m else None,
+        kept_rms_m=math.sqrt(sum(d * d for d in away_m) / len(away_m)) if away_m else None,
+        kept_worst_m=max(away_m, default=None),
         captured=last.captured,
         ending=_ending(log, last),
         time_s=time_s,
@@ -168,6 +194,19 @@ def summarise(log: FlightLog, problem: Problem) -> Summary:
         rejected=last.rejected,
         malformed=last.malformed,
     )
+
+
+def _bearing_known_s(statuses: list[Status], begin_ns: int | None) -> float | None:
+    if begin_ns is None:
+        return None
+    for s in statuses:
+        if s.t_ns >= begin_ns and s.estimate is not None and s.estimate.bearing_sigma_rad < KNOWN_RAD:
+            return (s.t_ns - begin_ns) * 1e-9
+    return None
+
+
+def _time_in_s(log: FlightLog, phase: Phase) -> float:
+    return sum(span.to_s - span.from_s for span in _spans(log, 0) if span.phase is phase)
 
 
 def target_of(status: Status) -> tuple[float, float] | None:
@@ -194,7 +233,12 @@ def shortest_from_m(start: Pose, target_x_m: float, target_y_m: float, problem: 
 def text(summary: Summary) -> str:
     """The summary for a person: a headline and a few aligned lines."""
     s = summary
-    lines = ["target captured" if s.captured else "target NOT captured", f"  ending         {s.ending}"]
+    done = (
+        ("target captured", "station reached")
+        if s.captured
+        else ("target NOT captured", "station NOT reached")
+    )
+    lines = [done[s.kind == "station"], f"  ending         {s.ending}"]
     if s.time_s is not None:
         lines.append(
             f"  time           {s.time_s:.1f} s from engagement to {'rest' if s.captured else 'its end'}"
@@ -202,11 +246,21 @@ def text(summary: Summary) -> str:
     if s.path_m is not None:
         lines.append(f"  path           {s.path_m:.2f} m")
     if s.shortest_m is not None and s.path_ratio is not None:
-        lines.append(f"  shortest       {s.shortest_m:.2f} m to the target as estimated last")
+        what = "station" if s.kind == "station" else "target"
+        lines.append(f"  shortest       {s.shortest_m:.2f} m to the {what} as estimated last")
         lines.append(f"  ratio          {s.path_ratio:.3f}")
     if s.final_distance_m is not None and s.final_distance_sigma_m is not None:
         lines.append(
             f"  distance left  {s.final_distance_m:.2f} m ± {s.final_distance_sigma_m:.2f} estimated"
+        )
+    if s.bearing_known_s is not None:
+        lines.append(
+            f"  bearing        known to ± {math.degrees(KNOWN_RAD):.0f}° after {s.bearing_known_s:.1f} s"
+        )
+    if s.kept_s is not None and s.kept_rms_m is not None and s.kept_worst_m is not None:
+        lines.append(
+            f"  kept           {s.kept_s:.1f} s, {s.kept_rms_m:.2f} m rms, {s.kept_worst_m:.2f} m at most, "
+            "as estimated"
         )
     refused = sum(s.rejected.values())
     lines.append(f"  ranges         {s.ranges_accepted} believed, {refused} refused{_reasons(s.rejected)}")

@@ -31,6 +31,8 @@ from companion.types import Phase, PhaseChange, Severity, Status
 
 RULER_HALF = 26
 """Characters from straight ahead to straight behind on the bearing ruler: 7° each."""
+UNSURE_RAD = 1.0
+"""A bearing with a greater standard deviation is not known."""
 CLOSE_LIMIT_S = 2.0
 """`close()` waits this long for the last frame: a stalled terminal must not keep the program."""
 
@@ -354,6 +356,8 @@ def panel(status: Status, t0_ns: int) -> RenderableType:
     rows = [_row("phase", (status.phase.value.upper(), style), (f"  {status.reason}", ""))]
     rows += [_row("awaiting", (awaited, "yellow")) for awaited in status.awaited]
     rows += [_target(status), bearing_ruler(status), _setpoint(status), _vehicle(status), _ranges(status)]
+    if status.beacons:
+        rows.append(_beacons(status))
     if (rejected := _counts(status.rejected)) != "-":
         rows.append(_row("rejected", (rejected, "yellow")))
     if (malformed := _counts(status.malformed)) != "-":
@@ -363,7 +367,7 @@ def panel(status: Status, t0_ns: int) -> RenderableType:
         _row(
             "flown",
             (f"{status.path_m:.2f} m in {status.engaged_s:.1f} s engaged", ""),
-            ("   captured" if status.captured else "", "bold green"),
+            (("   reached" if status.beacons else "   captured") if status.captured else "", "bold green"),
         )
     )
     title = f"companion  {_since(status.t_ns, t0_ns):.1f} s"
@@ -393,15 +397,18 @@ def _row(name: str, *parts: tuple[str, str]) -> Text:
 
 def _target(status: Status) -> Text:
     e = status.estimate
+    name = "station" if status.beacons else "target"
     if e is None:
-        return _row("target", ("no estimate yet", "dim"))
+        return _row(name, ("no estimate yet", "dim"))
     side = "right" if e.bearing_rad >= 0 else "left"
+    unsure = e.bearing_sigma_rad > UNSURE_RAD
     return _row(
-        "target",
+        name,
         (f"{e.distance_m:.2f} m", "bold"),
         (f" ± {e.distance_sigma_m:.2f}   ", ""),
         (f"{abs(math.degrees(e.bearing_rad)):.0f}° {side}", "bold"),
-        (f" ± {math.degrees(e.bearing_sigma_rad):.0f}°", ""),
+        (f" ± {math.degrees(e.bearing_sigma_rad):.0f}°", "yellow" if unsure else ""),
+        ("  bearing not known" if unsure else "", "yellow"),
     )
 
 
@@ -429,6 +436,15 @@ def _ranges(status: Status) -> Text:
         (f"{_metres(status.range_m)}  {_age(status.range_age_s)}", _age_style(status.range_age_s)),
         (f"  accepted {status.ranges_accepted}", ""),
     )
+
+
+def _beacons(status: Status) -> Text:
+    """Station keeping: each beacon with the age of its last range."""
+    parts = []
+    for name, age_s in status.beacons.items():
+        told = "never" if age_s is None else f"{age_s:.1f} s"
+        parts.append((f"{name} {told}  ", _age_style(age_s)))
+    return _row("beacons", *parts)
 
 
 def _metres(value: float | None) -> str:

@@ -107,6 +107,10 @@ class World:
         """The events' clock."""
         return _START_NS + self._step * _STEP_NS
 
+    def time_ns(self, t_s: float) -> int:
+        """The time of a truth sample on the events' clock."""
+        return _START_NS + round(t_s * 1e9)
+
     # ---------------------------------------------------------------------------------------------- in
 
     def send(self, output: Output) -> None:

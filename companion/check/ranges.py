@@ -11,6 +11,7 @@ from statistics import median
 from companion import beacons, gate
 from companion.check.report import Part, Row, State
 from companion.gate import Track
+from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.settings import BeaconSettings, Settings
 from companion.types import Event, LineOfSight, Malformed, RangeSample, Verdict
 
@@ -113,15 +114,15 @@ def judge(
     height_m: float | None,
 ) -> Iterator[Row]:
     """Every row about the ranges. `connected`: routers and peers; `height_m`: the vehicle's, now."""
-    target = settings.mission.target
+    keeps = settings.mission.kind == "station"
+    target = "" if keeps else settings.mission.target
     yield _zenoh(settings, connected)
     for beacon, known in settings.beacons.items():
         h = found.beacons.get(beacon)
         if h is None:
-            yield _not_heard(settings, beacon, beacon == target, watched_s)
+            yield _not_heard(settings, beacon, found, watched_s)
         else:
-            name = f"{beacon} (target)" if beacon == target else beacon
-            yield _heard(settings, name, h, t_ns, known)
+            yield _heard(settings, _name(settings, beacon), h, t_ns, known)
             yield from _problems(settings, beacon, h, known, height_m)
     yield from _strangers(settings, found)
     for defect, count in found.malformed.items():
@@ -133,7 +134,9 @@ def judge(
             "Such samples are dropped.",
             "mend the publisher; `companion ranges schema` says what a range looks like",
         )
-    if target in found.beacons and found.beacons[target].ranges_m:
+    if keeps:
+        yield from _station(settings, found, height_m)
+    elif target in found.beacons and found.beacons[target].ranges_m:
         yield from _reach(settings, median(found.beacons[target].ranges_m), height_m)
 
 
@@ -155,15 +158,28 @@ def _zenoh(settings: Settings, connected: int) -> Row:
     )
 
 
-def _not_heard(settings: Settings, beacon: str, is_target: bool, watched_s: float) -> Row:
+def _name(settings: Settings, beacon: str) -> str:
+    if settings.mission.kind == "station":
+        return f"{beacon} (d* {settings.beacons[beacon].station_distance_m or 0.0:g} m)"
+    return f"{beacon} (target)" if beacon == settings.mission.target else beacon
+
+
+def _not_heard(settings: Settings, beacon: str, found: RangeFindings, watched_s: float) -> Row:
     r = settings.ranges
     key = f"uwb/v1/{r.site}/{beacon}/{r.tag}/range"
+    why = ""
+    if settings.mission.kind == "capture" and beacon == settings.mission.target:
+        why = "Without the target's ranges there is nothing to fly to."
+    elif settings.mission.kind == "station":
+        needed = len(settings.beacons) if settings.station.scheme == "station-paper" else BEACONS_NEEDED
+        if len(found.beacons.keys() & settings.beacons.keys()) < needed:
+            why = f"With fewer than {needed} beacons the station cannot be found."
     return Row(
         Part.RANGES,
-        f"{beacon} (target)" if is_target else beacon,
-        State.FAIL if is_target else State.WARN,
+        _name(settings, beacon),
+        State.FAIL if why else State.WARN,
         f"no range on {key} within {watched_s:.1f} s",
-        "Without the target's ranges there is nothing to fly to." if is_target else "",
+        why,
         "is the beacon on, in reach, and published under this site, id and tag?",
     )
 
@@ -250,8 +266,39 @@ def _strangers(settings: Settings, found: RangeFindings) -> Iterator[Row]:
             State.WARN,
             f"not in the configuration: {heard}{' and more' if found.more_beacons else ''}",
             "Their ranges are not used.",
-            "is an id misspelt? Each beacon has a table [beacons.ID], the one to fly to is mission.target",
+            "is an id misspelt? Each beacon has a table [beacons.ID], a target is mission.target",
         )
+
+
+def _station(settings: Settings, found: RangeFindings, height_m: float | None) -> Iterator[Row]:
+    """Is the station within the budgets? Each beacon says that it is between |d − d*| and d + d* away."""
+    least_m, most_m = 0.0, math.inf
+    for beacon, known in settings.beacons.items():
+        h = found.beacons.get(beacon)
+        if h is not None and h.ranges_m and known.station_distance_m is not None:
+            above_m = (settings.vehicle.height_m if height_m is None else height_m) - known.height_m
+            d_m = math.sqrt(max(median(h.ranges_m) ** 2 - above_m**2, 0.0))
+            least_m = max(least_m, abs(d_m - known.station_distance_m))
+            most_m = min(most_m, d_m + known.station_distance_m)
+    if most_m == math.inf:
+        return
+    name, v_m_s, limits = "way to the station", settings.guidance.speed_m_s, settings.limits
+    text = f"{least_m:.0f} to {most_m:.0f} m away, {least_m / v_m_s:.0f} to {most_m / v_m_s:.0f} s"
+    if least_m > most_m + 1.0:
+        yield Row(
+            Part.RANGES,
+            name,
+            State.FAIL,
+            f"at least {least_m:.1f} m away by one beacon, at most {most_m:.1f} m by another",
+            "No place has the distances that are configured.",
+            "check beacons.ID.station_distance_m, and that no two beacons are mixed up",
+        )
+        return
+    limit_m = min(limits.from_start_m, limits.distance_m, limits.flight_time_s * v_m_s)
+    state = State.FAIL if least_m > limit_m else State.WARN if most_m > limit_m else State.OK
+    why = "" if state is State.OK else f"The budgets of [limits] end the flight after {limit_m:g} m."
+    do = "" if state is State.OK else "raise the limits, or start nearer"
+    yield Row(Part.RANGES, name, state, text, why, do)
 
 
 def _reach(settings: Settings, range_m: float, height_m: float | None) -> Iterator[Row]:

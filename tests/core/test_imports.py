@@ -22,7 +22,7 @@ EDGES = {
     "link", "live", "view", "summary", "wire_range", "wire_status", "record", "recording", "replay",
     "foxglove", "uwb",
 }  # fmt: skip
-DESK = {"operator", "ground", "picture", "demo", "bench", "simulate", "publish", "check", "watch"}
+DESK = {"operator", "ground", "picture", "demo", "goal", "bench", "simulate", "publish", "check", "watch"}
 TOP = {"cli", "cli_publish", "cli_watch", "commands", "fly", "config", "exits", "__main__"} | DESK
 
 

@@ -52,6 +52,20 @@ def test_the_headline_says_how_it_went() -> None:
         == "Target captured  ·  14.2 s, 7.10 m flown  ·  1.03 × the shortest path"
     )
     assert headline(False, None, None, None) == "Target not captured"
+    assert headline(True, None, None, None, "station") == "Station reached"
+
+
+def test_a_station_is_drawn_with_its_beacons(tmp_path: Path) -> None:
+    log = FlightLog()
+    for output in flight():
+        log.add(output)
+    problem = Problem(0.3, SPEED_M_S, YAW_RATE_RAD_S, "station")
+    drawn = []
+    for beacons in ((), ((0.0, 5.0), (6.0, 6.0), (3.0, 1.0))):
+        path = tmp_path / "station.png"
+        draw_flight(path, report(log, problem), Truth([(-2.0, 0.5), TARGET], TARGET, beacons))
+        drawn.append(path.read_bytes())
+    assert drawn[0] != drawn[1]
 
 
 @pytest.mark.parametrize(

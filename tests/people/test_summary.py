@@ -133,3 +133,29 @@ def test_the_target_is_found_where_it_is(x: float, y: float, heading: float, tx:
     theta = math.remainder(heading - math.atan2(ty - y, tx - x), math.tau)
     found = target_of(status(x_m=x, y_m=y, heading_rad=heading, estimate=Estimate(d, 0.1, theta, 0.1)))
     assert found == pytest.approx((tx, ty), abs=1e-6)
+
+
+def test_a_station_is_told_as_one_with_how_well_it_was_kept() -> None:
+    problem = Problem(0.3, SPEED_M_S, YAW_RATE_RAD_S, "station")
+    unsure, sure = Estimate(8.0, 2.0, 0.3, 2.0), Estimate(7.0, 0.5, 0.3, 0.2)
+    outputs: list[AnyOutput] = [
+        status(0.0, phase=Phase.STANDBY, estimate=None),
+        change(1.0, Phase.STANDBY, Phase.ACQUIRE, "OFFBOARD selected"),
+        status(1.5, phase=Phase.ACQUIRE, estimate=unsure),
+        status(3.0, phase=Phase.ACQUIRE, estimate=sure),
+        change(4.0, Phase.ACQUIRE, Phase.APPROACH, "bearing known"),
+        change(9.0, Phase.APPROACH, Phase.KEEP, "at the station"),
+        status(9.0, phase=Phase.KEEP, estimate=Estimate(0.03, 0.02, 0.0, 0.1)),
+        status(19.0, phase=Phase.KEEP, estimate=Estimate(0.04, 0.02, 0.0, 0.1), captured=True),
+    ]
+    s = summarise(log_of(outputs), problem)
+    assert s.bearing_known_s == pytest.approx(2.0)
+    assert s.time_s == pytest.approx(8.0)
+    assert s.kept_s == pytest.approx(10.0)
+    assert s.kept_rms_m == pytest.approx(math.sqrt(0.00125))
+    assert s.kept_worst_m == 0.04
+    told = text(s)
+    assert told.startswith("station reached\n")
+    assert "target" not in told
+    assert "known to ± 29° after 2.0 s" in told
+    assert "10.0 s, 0.04 m rms" in told

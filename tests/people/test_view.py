@@ -55,6 +55,19 @@ def test_the_panel_tells_what_a_pilot_needs() -> None:
         assert wanted in text
 
 
+def test_the_panel_shows_a_station_and_its_beacons() -> None:
+    text = shown(status(phase=Phase.KEEP, captured=True, beacons={"b1": 0.04, "b2": 12.0, "b3": None}))
+    for wanted in ("KEEP", "station  5.30 m", "b1 0.0 s", "b2 12.0 s", "b3 never", "reached"):
+        assert wanted in text
+    assert "target" not in text
+
+
+def test_the_panel_says_when_the_bearing_is_not_known() -> None:
+    unsure = Estimate(5.3, 0.1, 0.3, 1.2)
+    assert "± 69°  bearing not known" in shown(status(estimate=unsure))
+    assert "not known" not in shown(status())
+
+
 def test_the_panel_says_what_is_awaited_and_from_where() -> None:
     text = shown(
         status(

@@ -13,7 +13,7 @@ from companion.check.ranges import judge as judge_ranges
 from companion.check.report import CheckReport, Part, Row, State, text
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
 from companion.link.survey import Charge, Estimator, Health, Other, VehicleFindings
-from companion.settings import BeaconSettings, Settings, VehicleSettings
+from companion.settings import BeaconSettings, MissionSettings, Settings, VehicleSettings
 from companion.types import Defect, FlightMode, Landed, LineOfSight, Malformed, RangeSample
 
 SETTINGS = Settings()
@@ -355,3 +355,32 @@ def test_json_has_every_row_with_all_its_words() -> None:
         "do": "hurry",
     }
     assert json.loads(CheckReport(ROWS[::2]).json())["ready"] is True
+
+
+THREE = {name: BeaconSettings(station_distance_m=d) for name, d in (("b1", 5.0), ("b2", 6.5), ("b3", 5.0))}
+STATION = Settings(mission=MissionSettings(kind="station"), beacons=THREE)
+
+
+def around(*ranges_m: float) -> list[Row]:
+    """What is said of beacons b1, b2, … heard at these ranges."""
+    found = RangeFindings(STATION)
+    for i in range(60):
+        for n, range_m in enumerate(ranges_m, 1):
+            found.take_in(RangeSample(i * 50_000_000, f"b{n}", "s", i, range_m))
+    return list(judge_ranges(STATION, found, 1, 3_000_000_000, 3.0, 0.0))
+
+
+def test_a_station_needs_three_beacons() -> None:
+    assert row(around(10.0, 9.0, 8.0), "b3 (d* 5 m)").state is State.OK
+    missing = row(around(10.0, 9.0), "b3 (d* 5 m)")
+    assert missing.state is State.FAIL
+    assert "fewer than 3 beacons" in missing.why
+
+
+def test_the_way_to_a_station_follows_from_all_beacons() -> None:
+    fine = row(around(10.0, 9.0, 8.0), "way to the station")
+    assert (fine.state, fine.found) == (State.OK, "5 to 13 m away, 10 to 26 s")
+    assert row(around(90.0, 90.0, 90.0), "way to the station").state is State.FAIL
+    mixed_up = row(around(2.0, 30.0, 4.0), "way to the station")
+    assert mixed_up.state is State.FAIL
+    assert "No place" in mixed_up.why
