@@ -276,7 +276,7 @@ def _station(settings: Settings, found: RangeFindings, height_m: float | None) -
     for beacon, known in settings.beacons.items():
         h = found.beacons.get(beacon)
         if h is not None and h.ranges_m and known.station_distance_m is not None:
-            above_m = (settings.vehicle.height_m if height_m is None else height_m) - known.height_m
+            above_m = (settings.vehicle.height_m if height_m is None else height_m) - (known.height_m or 0.0)
             d_m = math.sqrt(max(median(h.ranges_m) ** 2 - above_m**2, 0.0))
             least_m = max(least_m, abs(d_m - known.station_distance_m))
             most_m = min(most_m, d_m + known.station_distance_m)
