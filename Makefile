@@ -3,13 +3,17 @@ PYTHON ?= python3
 BIN := .venv/bin
 
 # The tests of pages need a browser; without it they are skipped, where COMPANION_REQUIRE_CHROMIUM=1 they fail.
-.PHONY: demo test lint clean chromium
+.PHONY: demo test faults lint clean chromium
 
 demo: .venv/installed
 	$(BIN)/companion demo --config config/demo.toml
 
 test: .venv/installed
 	$(BIN)/pytest -n 2 --dist loadgroup -rs
+
+# All of it takes minutes; a short form is among the tests.
+faults: .venv/installed
+	$(BIN)/python -m tests.safety.faults --out build
 
 lint: .venv/installed
 	$(BIN)/ruff check .

@@ -47,6 +47,8 @@ class Facts(msgspec.Struct, frozen=True, gc=False):
     hand_over_overdue: bool = False
     purpose: int = PROBE
     """What the guidance is doing: PROBE, TRACK, REST, STAY or REFUSE."""
+    held_up: bool = False
+    """This app did not run for so long that the autopilot may have acted on its silence."""
 
 
 class Condition(Enum):
@@ -57,6 +59,7 @@ class Condition(Enum):
     FLIGHT_OVER = "disarmed: the flight is over"
     VEHICLE_GONE = "no heartbeat from the vehicle"
     LEFT_OFFBOARD = "the vehicle left OFFBOARD"
+    HELD_UP = "this app did not run for a while: select another mode, then OFFBOARD again"
     STOP_ASKED = "stop asked for"
     WAITED_OUT = "waited long enough"
     OFFBOARD_ALREADY = (
@@ -90,6 +93,8 @@ def conditions(f: Facts) -> Iterator[Condition]:
         yield Condition.VEHICLE_GONE
     if not offboard:
         yield Condition.LEFT_OFFBOARD
+    if f.held_up:
+        yield Condition.HELD_UP
     if f.stop_asked:
         yield Condition.STOP_ASKED
     if f.waited_out:
@@ -135,6 +140,7 @@ _LEAVE = {
     _C.FLIGHT_OVER: _P.ENDED,
     _C.VEHICLE_GONE: _P.RELEASED,
     _C.LEFT_OFFBOARD: _P.RELEASED,
+    _C.HELD_UP: _P.RELEASED,
     _C.STOP_ASKED: _P.HAND_OVER,
     _C.BUDGET_SPENT: _P.HAND_OVER,
     _C.RANGES_LOST: _P.HAND_OVER,
@@ -155,6 +161,7 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
     _P.STANDBY: {
         _C.FLIGHT_OVER: _P.ENDED,
         _C.VEHICLE_GONE: _P.AWAIT,
+        _C.HELD_UP: _P.AWAIT,
         _C.STOP_ASKED: _P.ENDED,
         _C.INPUTS_MISSING: _P.AWAIT,
         _C.ENGAGED: _P.ACQUIRE,
@@ -213,6 +220,7 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
         _C.FLIGHT_OVER: _P.ENDED,
         _C.VEHICLE_GONE: _P.RELEASED,
         _C.LEFT_OFFBOARD: _P.RELEASED,
+        _C.HELD_UP: _P.RELEASED,
         _C.HAND_OVER_OVERDUE: _P.RELEASED,
     },
     _P.RELEASED: {
@@ -250,7 +258,7 @@ def step(phase: Phase, facts: Facts) -> tuple[Phase, Condition | None]:
     return phase, None
 
 
-_ALARMING = frozenset({_C.VEHICLE_GONE, _C.HAND_OVER_OVERDUE, _C.BUDGET_SPENT, _C.RANGES_LOST})
+_ALARMING = frozenset({_C.VEHICLE_GONE, _C.HELD_UP, _C.HAND_OVER_OVERDUE, _C.BUDGET_SPENT, _C.RANGES_LOST})
 
 
 def severity(after: Phase, condition: Condition) -> Severity:

@@ -172,7 +172,7 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         bearing_lost = known.sigma_theta_rad > cfg.coast_bearing_sigma_rad
     else:
         ranges = Ranges.STALE if range_age_s <= cfg.hand_over_after_s else Ranges.LOST
-    in_phase_s = age_s(s.t_phase_ns, t_ns)
+    in_phase_s, sent = age_s(s.t_phase_ns, t_ns), s.steering.setpoint
     return Facts(
         stop_asked=s.flight.stop_asked,
         vehicle_gone=age_s(v.t_link_ns, t_ns) > cfg.vehicle_after_s,
@@ -190,6 +190,8 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         hand_over_overdue=s.phase in phase.ASKING
         and (cfg.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
         purpose=s.steering.command.purpose,
+        held_up=s.phase in phase.STREAMING
+        and min(in_phase_s, age_s(None if sent is None else sent.t_ns, t_ns)) > cfg.held_up_after_s,
     )
 
 

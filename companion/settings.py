@@ -389,6 +389,17 @@ class LossSettings(Table, frozen=True):
             description="No heartbeat or mode for this long: the vehicle is gone, fall silent.",
         ),
     ] = 3.0
+    held_up_after_s: Annotated[
+        float,
+        Meta(
+            ge=0.3,
+            le=10.0,
+            description=(
+                "This app itself did not run for so long: fall silent until a person acts. Keep it below "
+                "COM_OF_LOSS_T: PX4 returns to OFFBOARD by itself when a stream resumes."
+            ),
+        ),
+    ] = 0.8
     wait_s: Annotated[
         float,
         Meta(

@@ -127,6 +127,9 @@ def test_started_in_mid_air_with_offboard_meant_it_only_watches(
         (Phase.APPROACH, replace(FLYING, stop_asked=True), Phase.HAND_OVER),
         (Phase.APPROACH, replace(FLYING, telemetry_late=True), Phase.STALL),
         (Phase.APPROACH, replace(FLYING, vehicle_gone=True), Phase.RELEASED),
+        (Phase.HOLD, replace(FLYING, held_up=True, stop_asked=True), Phase.RELEASED),
+        (Phase.HAND_OVER, replace(FLYING, held_up=True), Phase.RELEASED),
+        (Phase.STANDBY, replace(FLYING, held_up=True), Phase.AWAIT),
         (Phase.HOLD, replace(FLYING, armed=False), Phase.ENDED),
         (Phase.HAND_OVER, replace(FLYING, hand_over_overdue=True), Phase.RELEASED),
         (Phase.HAND_OVER, replace(FLYING, actual=LAND), Phase.RELEASED),
@@ -146,6 +149,16 @@ def test_started_in_mid_air_with_offboard_meant_it_only_watches(
 )
 def test_the_transitions_of_a_flight(before: Phase, facts: Facts, after: Phase) -> None:
     assert phase.step(before, facts)[0] is after
+
+
+@pytest.mark.parametrize("before", [p for p in Phase if p in STREAMING])
+def test_held_up_it_does_not_steer_whatever_it_still_believes(before: Phase) -> None:
+    yes_no = (False, True)
+    for stop, spent, late, ranges in itertools.product(yes_no, yes_no, yes_no, Ranges):
+        believed = replace(
+            FLYING, held_up=True, stop_asked=stop, budget_spent=spent, telemetry_late=late, ranges=ranges
+        )
+        assert phase.step(before, believed)[0] not in STREAMING
 
 
 def test_every_phase_has_a_row() -> None:

@@ -171,6 +171,32 @@ def test_without_a_heading_it_stands_still_and_without_a_vehicle_it_is_silent() 
     assert setpoints(gone)[-1].t_ns < (script.t_ms - 1500) * MS
 
 
+@pytest.mark.parametrize("first", ["range", "mode", "tick"])
+def test_held_up_in_flight_it_stays_silent_until_a_person_acts(first: str) -> None:
+    script = Script()
+    before = engaged(script)
+    script.t_ms += 1000  # SIGSTOP: PX4 has gone to Hold, and a single setpoint would bring OFFBOARD back
+    t_ns = script.t_ms * MS
+    script.seq += 1
+    woken = {
+        "range": RangeSample(t_ns, "b1", "s", script.seq, 10.0),
+        "mode": ModeReport(t_ns, OFFBOARD, OFFBOARD),  # told before the failsafe, read after it
+        "tick": Tick(t_ns),
+    }
+    after = fly([woken[first], *script.run(2.0)], before=before)
+    assert after.state.phase is Phase.RELEASED
+    assert not setpoints(after)
+    script.actual, script.intended = LOITER, OFFBOARD
+    assert not setpoints(fly(script.run(2.0), before=after))
+
+
+def test_a_short_pause_is_no_reason_to_let_go() -> None:
+    script = Script()
+    before = engaged(script)
+    script.t_ms += 600
+    assert fly(script.run(0.5), before=before).state.phase.is_engaged
+
+
 def test_ctrl_c_in_flight_stands_still_asks_for_the_mode_and_ends() -> None:
     script = Script()
     before = engaged(script)

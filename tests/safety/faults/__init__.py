@@ -1,0 +1,1 @@
+"""The fault matrix: every fault × every phase in which it may strike, and what must come of it."""

@@ -1,0 +1,121 @@
+"""The fault matrix from the command line: `python -m tests.safety.faults`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from time import monotonic
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from tests.safety.faults import report
+from tests.safety.faults.flight import Flight, Outcome
+from tests.safety.faults.matrix import FAULTS
+from tests.safety.faults.rules import EVERY
+
+_DESCRIPTION = """\
+Lets every fault strike in every phase. What the app does is held against the rule for that fault, and against
+the law for all: limits, no speed without OFFBOARD, armed, heading and ranges, no setpoint but at once."""
+_EPILOG = """\
+examples:
+  python -m tests.safety.faults                                   all of it, five seeds each
+  python -m tests.safety.faults --only range-loss held-up-3s      some faults
+  python -m tests.safety.faults --phase approach --seeds 50       one phase, many seeds
+exit status: 0 every rule held, 1 a rule was broken, 2 wrong command line"""
+
+Flown = tuple[str, int, int]
+"""A flight to make: fault, number of the phase, seed. (Phases themselves do not travel between processes.)"""
+
+
+def fly(flown: Flown) -> Outcome:
+    """Make one flight."""
+    name, number, seed = flown
+    return Flight(FAULTS[name], EVERY[number], seed).fly()
+
+
+def flights(names: Sequence[str], phases: Sequence[str], seeds: Sequence[int]) -> list[Flown]:
+    """Every flight of the matrix, or of a part of it."""
+    return [
+        (name, number, seed)
+        for name in names
+        for number, phase in enumerate(EVERY)
+        if phase in FAULTS[name].rules and phase.value in phases
+        for seed in seeds
+    ]
+
+
+def fly_all(todo: list[Flown], jobs: int) -> Iterator[Outcome]:
+    """Make the flights, on several cores; the order and the results do not depend on how many."""
+    if jobs <= 1:
+        yield from map(fly, todo)
+        return
+    with ProcessPoolExecutor(jobs, get_context("forkserver")) as pool:
+        yield from pool.map(fly, todo, chunksize=8)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fly the matrix; returns the exit status."""
+    args = _parser().parse_args(argv)
+    todo = flights(
+        args.only or list(FAULTS), args.phase or [p.value for p in EVERY], range(1, args.seeds + 1)
+    )
+    began = monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    errors = Console(stderr=True)
+    outcomes: list[Outcome] = []
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as progress:
+        task = progress.add_task("simulated flights", total=len(todo))
+        for outcome in fly_all(todo, args.jobs):
+            outcomes.append(outcome)
+            progress.update(task, advance=1, description=f"simulated flights: {outcome.fault}")
+    table = report.rows(FAULTS, outcomes)
+    headline = report.headline(table, monotonic() - began)
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "faults.md").write_text(report.markdown(table, headline), encoding="utf-8")
+        (args.out / "faults.json").write_bytes(report.as_json(table))
+    if args.json:
+        sys.stdout.write(report.as_json(table).decode() + "\n")
+    else:
+        report.show(table, headline, Console(width=None if sys.stdout.isatty() else 150))
+        if args.out is not None:
+            print(f"written: {args.out / 'faults.md'}, {args.out / 'faults.json'}")
+    return 1 if any(row.broken for row in table) else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.safety.faults",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    phases = [phase.value for phase in EVERY]
+    parser.add_argument("--only", metavar="FAULT", nargs="+", choices=list(FAULTS), help="these faults only")
+    parser.add_argument("--phase", metavar="PHASE", nargs="+", choices=phases, help=", ".join(phases))
+    parser.add_argument(
+        "--seeds", metavar="N", type=_at_least_one, default=5, help="seeds 1 to N (%(default)s)"
+    )
+    parser.add_argument(
+        "--jobs", metavar="N", type=_at_least_one, default=os.cpu_count() or 1, help="processes"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="write faults.md and faults.json there")
+    parser.add_argument("--json", action="store_true", help="print the table as JSON")
+    return parser
+
+
+def _at_least_one(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError("must be at least 1")
+    return number
+
+
+if __name__ == "__main__":
+    sys.exit(main())
