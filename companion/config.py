@@ -96,6 +96,11 @@ def contradictions(c: Settings) -> list[str]:
         problems.append(f"vehicle.mavlink = {error}")
     if bool(c.vehicle.signing_key_file) != bool(c.vehicle.signing_state_file):
         problems.append("vehicle.signing_key_file and vehicle.signing_state_file: either both or none")
+    problems += [
+        f"ranges.ros2: topic {t.topic!r} with beacon {t.beacon!r}: `*` stands for several, `beacon` for one"
+        for t in c.ranges.ros2
+        if t.beacon is not None and "*" in t.topic
+    ]
     pairs = (
         ("guidance.speed_m_s", c.guidance.speed_m_s, "limits.speed_m_s", c.limits.speed_m_s),
         (

@@ -48,7 +48,7 @@ def fly(
                 settings.vehicle, signed, settings.mission.shadow, GroundStation(settings)
             )
             stack.callback(vehicle.close)
-            ranges = RangeLink(settings.ranges, bell.ring)
+            ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
             stack.callback(ranges.close)
             status = StatusLink(settings, lambda: ranges.session, view.tell)
             stack.callback(status.close)

@@ -23,7 +23,7 @@ import zenoh
 
 from companion import wire_range
 from companion.exits import Exit
-from companion.link.zenoh_publish import Ear, Heard, PublishLink, alive_key, info_key
+from companion.link.zenoh_publish import Ear, Heard, PublishLink
 from companion.link.zenoh_session import words
 from companion.settings import Name, RangesSettings
 from companion.uwb import info as beacon_info
@@ -32,7 +32,7 @@ from companion.uwb.families import Family, open_parser
 from companion.uwb.info import BeaconInfo
 from companion.uwb.measured import LosRule, Measured, Parser
 from companion.uwb.sources import Recording, SerialPort, Simulated, Source, SourceError, batches
-from companion.wire_range import RangeMessage
+from companion.wire_range import RangeMessage, alive_key, info_key
 
 MOST_PAIRS = 64
 """Beacons times tags that one publisher serves. A module without checksums can invent ids without end."""

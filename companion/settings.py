@@ -110,6 +110,35 @@ class BeaconSettings(Table, frozen=True):
     ] = -80.0
 
 
+class Ros2Settings(Table, frozen=True):
+    """`[[ranges.ros2]]`: a topic of sensor_msgs/msg/Range that reaches Zenoh from ROS 2."""
+
+    topic: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            max_length=255,
+            pattern=r"^/?[A-Za-z0-9_*]+(/[A-Za-z0-9_*]+)*$",
+            description="The topic, such as `/uwb/b1/range`; `*` stands for any one part.",
+        ),
+    ]
+    bridge: Annotated[
+        Literal["ros2dds", "rmw_zenoh"],
+        Meta(description="How it reaches Zenoh: zenoh-plugin-ros2dds, or ROS 2 with rmw_zenoh."),
+    ] = "ros2dds"
+    domain: Annotated[int, Meta(ge=0, le=232, description="`rmw_zenoh`: ROS_DOMAIN_ID.")] = 0
+    beacon: Annotated[Name | None, Meta(description="Whose ranges these are. Not given: `named_by`.")] = None
+    named_by: Annotated[
+        Literal["topic", "frame"],
+        Meta(
+            description=(
+                "What names the beacon: the topic (its last part, or the one before a last part `range`), or "
+                "the header's frame_id."
+            )
+        ),
+    ] = "topic"
+
+
 class RangesSettings(Table, frozen=True):
     """`[ranges]`: where the ranges come from, and which are refused at the door."""
 
@@ -139,6 +168,27 @@ class RangesSettings(Table, frozen=True):
     multicast_scouting: Annotated[
         bool, Meta(description="Find peers by multicast. Off: only the endpoints above are used.")
     ] = False
+    ros2: Annotated[
+        tuple[Ros2Settings, ...],
+        Meta(
+            description=(
+                "Ranges from ROS 2 besides: tables with `topic`, `bridge` (`ros2dds` or `rmw_zenoh`), "
+                "`domain`, and `beacon` or `named_by`."
+            )
+        ),
+    ] = ()
+    ask_beacons: Annotated[
+        bool,
+        Meta(description="Ask beacons for the height and bias that the configuration does not give."),
+    ] = True
+    max_rate_hz: Annotated[
+        float,
+        Meta(
+            ge=5.0,
+            le=1000.0,
+            description="More ranges a second of one beacon are a flood: dropped unread, the newest kept.",
+        ),
+    ] = 100.0
     max_age_s: Annotated[
         float,
         Meta(

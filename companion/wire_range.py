@@ -57,6 +57,16 @@ def range_key(site: str, beacon: str, tag: str) -> str:
     return f"{KEY_VERSION}/{site}/{beacon}/{tag}/range"
 
 
+def info_key(site: str, beacon: str) -> str:
+    """Where a beacon answers queries about itself; `*` for any."""
+    return f"{KEY_VERSION}/{site}/{beacon}/info"
+
+
+def alive_key(site: str, beacon: str) -> str:
+    """The liveliness token that is there while the beacon's publisher is; `*` for any."""
+    return f"{KEY_VERSION}/{site}/{beacon}/alive"
+
+
 def beacon_of(key: str) -> str:
     """The beacon's id in a range key, or '' where the key is not one."""
     parts = key.split("/")

@@ -9,14 +9,16 @@ from dataclasses import dataclass, field
 from statistics import median
 
 from companion import beacons, gate
+from companion.beacons import Beacon, configured, told
 from companion.check.report import Part, Row, State
 from companion.gate import Track
 from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.settings import BeaconSettings, Settings
-from companion.types import Event, LineOfSight, Malformed, RangeSample, Verdict
+from companion.types import BeaconTold, Event, LineOfSight, Malformed, RangeSample, Verdict
 
 _MOST_BEACONS = 64
 _KEPT = 1000
+_STRANGER = configured(0, BeaconSettings())
 WATCH_S = 3.0
 """A beacon's rate is judged after this long."""
 
@@ -59,12 +61,17 @@ class RangeFindings:
         self.more_beacons = 0
         """Samples of beacons beyond those kept."""
         self.malformed: Counter[str] = Counter()
+        self.known = {name: configured(0, b) for name, b in settings.beacons.items()}
+        """What holds of the configured beacons, with what they have told of themselves."""
         self.examples: dict[str, str] = {}
         """One for each kind of malformed sample."""
 
     def take_in(self, event: Event) -> None:
         """Note one event of the ranges' link."""
-        if isinstance(event, Malformed):
+        if isinstance(event, BeaconTold):
+            if (ours := self._settings.beacons.get(event.beacon)) is not None:
+                self.known[event.beacon] = told(configured(0, ours), ours, event)
+        elif isinstance(event, Malformed):
             self.malformed[event.defect.value] += 1
             self.examples.setdefault(event.defect.value, event.detail)
         elif isinstance(event, RangeSample):
@@ -82,12 +89,9 @@ class RangeFindings:
         if len(h.sessions) < _MOST_BEACONS:
             h.sessions.add(sample.session)
         cfg = self._settings
-        known = cfg.beacons.get(sample.beacon, BeaconSettings())
-        beacon = beacons.configured(0, known)
-        range_m, sigma_m = (
-            beacons.range_m(beacon, sample),
-            beacons.sigma_m(cfg.ranges, sample, beacon.sigma_m),
-        )
+        known = self.known.get(sample.beacon, _STRANGER)
+        range_m = beacons.range_m(known, sample)
+        sigma_m = beacons.sigma_m(cfg.ranges, sample, known.sigma_m)
         rate_m_s = cfg.vehicle.speed_max_m_s
         h.track, verdict = gate.judge(cfg.ranges, h.track, sample, range_m, sigma_m, rate_m_s)
         h.verdicts[verdict] += 1
@@ -117,7 +121,7 @@ def judge(
     keeps = settings.mission.kind == "station"
     target = "" if keeps else settings.mission.target
     yield _zenoh(settings, connected)
-    for beacon, known in settings.beacons.items():
+    for beacon, known in found.known.items():
         h = found.beacons.get(beacon)
         if h is None:
             yield _not_heard(settings, beacon, found, watched_s)
@@ -137,7 +141,8 @@ def judge(
     if keeps:
         yield from _station(settings, found, height_m)
     elif target in found.beacons and found.beacons[target].ranges_m:
-        yield from _reach(settings, median(found.beacons[target].ranges_m), height_m)
+        range_m = median(found.beacons[target].ranges_m)
+        yield from _reach(settings, range_m, height_m, found.known[target].height_m)
 
 
 def _zenoh(settings: Settings, connected: int) -> Row:
@@ -184,7 +189,7 @@ def _not_heard(settings: Settings, beacon: str, found: RangeFindings, watched_s:
     )
 
 
-def _heard(settings: Settings, name: str, h: Heard, t_ns: int, known: BeaconSettings) -> Row:
+def _heard(settings: Settings, name: str, h: Heard, t_ns: int, known: Beacon) -> Row:
     """The figures of one beacon, and whether they are good enough to fly on."""
     coast_s = settings.loss.coast_after_s
     age_s = max(t_ns - h.believed_ns, 0) * 1e-9
@@ -217,16 +222,25 @@ def _heard(settings: Settings, name: str, h: Heard, t_ns: int, known: BeaconSett
 
 
 def _problems(
-    settings: Settings, beacon: str, h: Heard, known: BeaconSettings, height_m: float | None
+    settings: Settings, beacon: str, h: Heard, known: Beacon, height_m: float | None
 ) -> Iterator[Row]:
     """What is wrong with a beacon besides its rate."""
+    if known.contradiction:
+        yield Row(
+            Part.RANGES,
+            beacon,
+            State.WARN,
+            known.contradiction,
+            "One of the two is wrong, and both decide how far away the beacon seems.",
+            f"measure it, and correct [beacons.{beacon}] or what the beacon tells",
+        )
     if h.switches >= len(h.sessions) > 1:
         yield Row(
             Part.RANGES,
             beacon,
             State.FAIL,
             f"{len(h.sessions)} publishers at once: the session changed {h.switches} times",
-            "Two sources under one id mix two distances, and no filter can tell them apart.",
+            "In flight the one that is heard first is believed, whichever that is; the others are dropped.",
             "stop one of them"
             + ("; with several tags at this site, set ranges.tag" if settings.ranges.tag == "*" else ""),
         )
@@ -243,7 +257,7 @@ def _problems(
         )
     sigma_m = median(h.sigmas_m) if h.sigmas_m else known.sigma_m
     if height_m is not None:
-        above_m = abs(height_m - (known.height_m or 0.0))
+        above_m = abs(height_m - known.height_m)
         range_m = median(h.ranges_m)
         if range_m + 3.0 * sigma_m + settings.vehicle.height_sigma_m < above_m:
             yield Row(
@@ -276,7 +290,9 @@ def _station(settings: Settings, found: RangeFindings, height_m: float | None) -
     for beacon, known in settings.beacons.items():
         h = found.beacons.get(beacon)
         if h is not None and h.ranges_m and known.station_distance_m is not None:
-            above_m = (settings.vehicle.height_m if height_m is None else height_m) - (known.height_m or 0.0)
+            above_m = (settings.vehicle.height_m if height_m is None else height_m) - found.known[
+                beacon
+            ].height_m
             d_m = math.sqrt(max(median(h.ranges_m) ** 2 - above_m**2, 0.0))
             least_m = max(least_m, abs(d_m - known.station_distance_m))
             most_m = min(most_m, d_m + known.station_distance_m)
@@ -301,10 +317,9 @@ def _station(settings: Settings, found: RangeFindings, height_m: float | None) -
     yield Row(Part.RANGES, name, state, text, why, do)
 
 
-def _reach(settings: Settings, range_m: float, height_m: float | None) -> Iterator[Row]:
+def _reach(settings: Settings, range_m: float, height_m: float | None, beacon_m: float) -> Iterator[Row]:
     """Is the target within the budgets of the flight?"""
     limits, v, g = settings.limits, settings.vehicle, settings.guidance
-    beacon_m = settings.beacons[settings.mission.target].height_m or 0.0
     above_m = (v.height_m if height_m is None else height_m) - beacon_m
     if range_m < abs(above_m):
         return

@@ -26,19 +26,9 @@ import zenoh
 from companion import wire_range
 from companion.link.zenoh_session import Opener, is_client, neighbours, zenoh_config
 from companion.settings import RangesSettings
-from companion.wire_range import RangeMessage
+from companion.wire_range import RangeMessage, alive_key, info_key
 
 _ANSWER_S = 2.0
-
-
-def info_key(site: str, beacon: str) -> str:
-    """Where a beacon answers queries about itself."""
-    return f"{wire_range.KEY_VERSION}/{site}/{beacon}/info"
-
-
-def alive_key(site: str, beacon: str) -> str:
-    """The liveliness token that is there while the beacon's publisher is."""
-    return f"{wire_range.KEY_VERSION}/{site}/{beacon}/alive"
 
 
 class PublishLink:

@@ -1,66 +1,164 @@
-"""Ranges over Zenoh, as events. The callback only notes what came and when; everything else is the loop's."""
+"""Ranges over Zenoh, as events. The callbacks only note what came and when; everything else is the loop's.
+
+Each beacon (or wildcard, or ROS 2 topic) has a door of its own: a short backlog of which the newest are kept,
+and a rate beyond which they are dropped before anybody reads them. A flood on one door costs the others
+nothing but the time of the callbacks.
+"""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
-import msgspec
 import zenoh
 
 from companion import wire_range
+from companion.link.range_events import (
+    MAX_ATTACHMENT_BYTES,
+    Raw,
+    info_event,
+    range_event,
+    ros2_event,
+)
 from companion.link.zenoh_session import Opener
 from companion.settings import RangesSettings
-from companion.types import Defect, Event, Malformed, RangeSample
+from companion.types import Defect, Event, Malformed
+from companion.uwb import ros2
 
-_BACKLOG = 256
-"""Samples that wait for the loop at most; the oldest give way. At 50 Hz and 5 beacons that is a second."""
+_BACKLOG = 64
+"""Samples that wait at a door at most; the oldest give way. At 50 Hz that is more than a second."""
+_MANY = 16
+"""A door with a wildcard lets so many times more in."""
+_ANSWERS = 64
+"""Answers of beacons that wait at most."""
+_ANSWER_S = 2.0
+_TELL_NS = 100_000_000
+"""A flood is told so often at most, so that telling it is no flood itself."""
 
 
-class _Raw(NamedTuple):
-    t_ns: int
-    key: str
-    payload: bytes
-    """Empty where it was too long to look at."""
-    size: int
-    encoding: str
+class Door:
+    """Where the samples of one subscription come in."""
+
+    def __init__(
+        self, key: str, max_rate_hz: float, is_for_many: bool, to_event: Callable[[Raw], Event]
+    ) -> None:
+        self.key = key
+        self._to_event = to_event
+        self._most = _BACKLOG * (_MANY if is_for_many else 1)
+        self._raw: deque[Raw] = deque(maxlen=self._most)
+        self._max_rate_hz = max_rate_hz * (_MANY if is_for_many else 1)
+        self._allowance = float(self._most)
+        self._t_ns: int | None = None
+        self._pushed_out = 0
+        """Counted by Zenoh's thread alone."""
+        self._dropped = 0
+        self._told = 0
+        self._told_t_ns = 0
+
+    def note(self, raw: Raw) -> None:
+        """In Zenoh's thread."""
+        if len(self._raw) == self._most:
+            self._pushed_out += 1  # the append below pushes the oldest out
+        self._raw.append(raw)
+
+    def receive(self, now_ns: int) -> Iterator[tuple[Raw, Callable[[Raw], Event]]]:
+        """What has come since, as far as the rate allows: of more, the newest."""
+        count = len(self._raw)
+        if self._t_ns is not None:
+            more = (now_ns - self._t_ns) * 1e-9 * self._max_rate_hz
+            self._allowance = min(self._allowance + more, float(self._most))
+        self._t_ns = now_ns
+        take = min(count, int(self._allowance))
+        self._allowance -= take
+        for _ in range(count - take):
+            self._raw.popleft()
+        self._dropped += count - take
+        for _ in range(take):
+            yield self._raw.popleft(), self._to_event
+
+    def flood(self, now_ns: int) -> Malformed | None:
+        """What was dropped, told now and then."""
+        lost = self._dropped + self._pushed_out - self._told
+        if not lost or now_ns - self._told_t_ns < _TELL_NS:
+            return None
+        self._told, self._told_t_ns = self._told + lost, now_ns
+        return Malformed(t_ns=now_ns, defect=Defect.RANGE_FLOOD, detail=f"{lost} of {self.key} dropped"[:200])
 
 
 class RangeLink:
-    """A subscription to the ranges of a site. `wake` is called from Zenoh's thread when something came."""
+    """Subscriptions to the ranges of some beacons, or of a whole site, and to ROS 2 topics.
 
-    def __init__(self, settings: RangesSettings, wake: Callable[[], None]) -> None:
+    `wake` is called from Zenoh's thread when something came. One subscription for each beacon that is flown
+    with: a router then sends no other, however many there are at the site.
+    """
+
+    def __init__(
+        self, settings: RangesSettings, wake: Callable[[], None], beacons: Iterable[str] = ("*",)
+    ) -> None:
         """Open the session. Raises zenoh.ZError where an endpoint is malformed or cannot be listened on."""
-        self._raw: deque[_Raw] = deque(maxlen=_BACKLOG)
-        self._flood = 0
+        self._settings = settings
         self._wake = wake
-        self._key = wire_range.range_key(settings.site, "*", settings.tag)
+        self._doors: list[Door] = []
+        self._told: deque[Raw] = deque(maxlen=_ANSWERS)
+        for beacon in beacons:
+            key = wire_range.range_key(settings.site, beacon, settings.tag)
+            self._doors.append(Door(key, settings.max_rate_hz, "*" in beacon, range_event))
+        for topic in settings.ros2:
+            key = ros2.subscription(ros2.Bridge(topic.bridge), topic.topic, topic.domain)
+            to_event = partial(ros2_event, topic)
+            self._doors.append(Door(key, settings.max_rate_hz, "*" in topic.topic, to_event))
+        for door in self._doors:
+            zenoh.KeyExpr(door.key)  # raises here, not in the thread that opens the session
         self._opener = Opener(settings, self._listen)
 
     def _listen(self, session: zenoh.Session) -> None:
         # Not indirect: a thread and its unbounded queue less between the wire and the loop.
-        session.declare_subscriber(self._key, zenoh.handlers.Callback(self._note, indirect=False))
+        for door in self._doors:
+            note = partial(self._note, door)
+            session.declare_subscriber(door.key, zenoh.handlers.Callback(note, indirect=False))
+        if self._settings.ask_beacons:
+            alive = wire_range.alive_key(self._settings.site, "*")
+            # Indirect, in a thread of its own, since a question is a call into Zenoh.
+            ask = zenoh.handlers.Callback(partial(self._ask, session), indirect=True)
+            session.liveliness().declare_subscriber(alive, ask, history=True)
+            self._query(session, wire_range.info_key(self._settings.site, "*"))
 
-    def _note(self, sample: zenoh.Sample) -> None:
+    def _note(self, door: Door, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: no parsing, no logging, no waiting."""
-        t_ns = time.monotonic_ns()
-        if len(self._raw) == _BACKLOG:
-            self._flood += 1  # the append below pushes the oldest out
-        payload = sample.payload
-        size = len(payload)
-        data = payload.to_bytes() if size <= wire_range.MAX_PAYLOAD_BYTES else b""
-        self._raw.append(_Raw(t_ns, str(sample.key_expr), data, size, str(sample.encoding)))
+        door.note(_raw(sample))
         self._wake()
+
+    def _ask(self, session: zenoh.Session, token: zenoh.Sample) -> None:
+        """A beacon has appeared."""
+        if token.kind == zenoh.SampleKind.PUT:
+            beacon = str(token.key_expr).split("/")[-2]
+            self._query(session, wire_range.info_key(self._settings.site, beacon))
+
+    def _query(self, session: zenoh.Session, key: str) -> None:
+        session.get(key, zenoh.handlers.Callback(self._note_answer, indirect=False), timeout=_ANSWER_S)
+
+    def _note_answer(self, reply: zenoh.Reply) -> None:
+        """In Zenoh's thread."""
+        if reply.ok is not None:
+            self._told.append(_raw(reply.ok))
+            self._wake()
 
     def receive(self, clock: Callable[[], int] = time.monotonic_ns) -> Iterator[Event]:
         """Everything that has come since, as events, in order."""
-        for _ in range(len(self._raw)):
-            yield to_event(self._raw.popleft())
-        if self._flood:
-            lost, self._flood = self._flood, 0
-            yield Malformed(t_ns=clock(), defect=Defect.RANGE_FLOOD, detail=f"{lost} dropped")
+        for _ in range(len(self._told)):
+            yield info_event(self._told.popleft())
+        now_ns = clock()
+        came = [raw for door in self._doors for raw in door.receive(now_ns)]
+        if len(came) > 1:
+            came.sort(key=_t_ns)
+        for raw, to_event in came:
+            yield to_event(raw)
+        for door in self._doors:
+            flood = door.flood(now_ns)
+            if flood is not None:
+                yield flood
 
     @property
     def session(self) -> zenoh.Session | None:
@@ -76,32 +174,17 @@ class RangeLink:
         self._opener.close()
 
 
-def to_event(raw: _Raw) -> Event:
-    """One sample as a range, or as the reason why it is none. Never raises."""
-    t_ns = raw.t_ns
-    if raw.size > wire_range.MAX_PAYLOAD_BYTES:
-        return Malformed(t_ns=t_ns, defect=Defect.RANGE_TOO_LONG, detail=f"{raw.key}: {raw.size} bytes"[:200])
-    try:
-        m = wire_range.decode(raw.payload, raw.encoding)
-    except msgspec.ValidationError as error:
-        return Malformed(t_ns=t_ns, defect=Defect.RANGE_FIELD, detail=f"{raw.key}: {error}"[:200])
-    except msgspec.DecodeError as error:
-        return Malformed(t_ns=t_ns, defect=Defect.RANGE_PAYLOAD, detail=f"{raw.key}: {error}"[:200])
-    except ValueError as error:
-        return Malformed(t_ns=t_ns, defect=Defect.RANGE_ENCODING, detail=f"{raw.key}: {error}"[:200])
-    if m.status is not None and m.status.lower() not in _GOOD:
-        return Malformed(t_ns=t_ns, defect=Defect.RANGE_STATUS, detail=f"{raw.key}: {m.status}"[:200])
-    return RangeSample(
-        t_ns=t_ns,
-        beacon=wire_range.beacon_of(raw.key),
-        session=m.session,
-        seq=m.seq,
-        range_m=m.range_m,
-        sigma_m=m.sigma_m,
-        los=m.los,
-        rssi_dbm=m.rssi_dbm,
-        sent_t_ns=m.t_ns,
-    )
+def _t_ns(came: tuple[Raw, Callable[[Raw], Event]]) -> int:
+    return came[0].t_ns
 
 
-_GOOD = frozenset({"ok", "success"})
+def _raw(sample: zenoh.Sample) -> Raw:
+    """As it came, now; what is too long to be a range is not copied."""
+    t_ns = time.monotonic_ns()
+    payload, attachment = sample.payload, sample.attachment
+    size = len(payload)
+    data = payload.to_bytes() if size <= wire_range.MAX_PAYLOAD_BYTES else b""
+    told = None
+    if attachment is not None:
+        told = attachment.to_bytes() if len(attachment) <= MAX_ATTACHMENT_BYTES else b""
+    return Raw(t_ns, str(sample.key_expr), data, size, str(sample.encoding), told)

@@ -148,3 +148,11 @@ def test_the_digest_tells_configurations_apart() -> None:
     other = load(None, {}, ["guidance.speed_m_s=0.4"])
     assert one.digest == same.digest != other.digest
     assert msgspec.json.decode(msgspec.json.encode(one.config), type=Config) == one.config
+
+
+def test_a_wildcard_topic_cannot_be_one_beacons() -> None:
+    topic = "ranges.ros2=[{topic = '/uwb/*/range', beacon = 'b1'}]"
+    with pytest.raises(ConfigError, match=r"/uwb/\*/range.*'b1'"):
+        load(None, {}, [topic])
+    with pytest.raises(ConfigError, match="bridge = 'dds': allowed: 'rmw_zenoh', 'ros2dds'"):
+        load(None, {}, ["ranges.ros2=[{topic = '/a', bridge = 'dds'}]"])

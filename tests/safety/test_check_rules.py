@@ -14,7 +14,7 @@ from companion.check.report import CheckReport, Part, Row, State, text
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
 from companion.link.survey import Charge, Estimator, Health, Other, VehicleFindings
 from companion.settings import BeaconSettings, MissionSettings, Settings, VehicleSettings
-from companion.types import Defect, FlightMode, Landed, LineOfSight, Malformed, RangeSample
+from companion.types import BeaconTold, Defect, Event, FlightMode, Landed, LineOfSight, Malformed, RangeSample
 
 SETTINGS = Settings()
 GPS = Estimator(velocity=True, position=True, height=True, global_position=True)
@@ -229,7 +229,7 @@ def sample(i: int, beacon: str = "b1", **changes: Any) -> RangeSample:
     return RangeSample(**(fields | changes))
 
 
-def heard(*events: RangeSample | Malformed, settings: Settings = SETTINGS, **more: Any) -> list[Row]:
+def heard(*events: Event, settings: Settings = SETTINGS, **more: Any) -> list[Row]:
     found = RangeFindings(settings)
     for event in events:
         found.take_in(event)
@@ -288,6 +288,15 @@ def test_ranges_that_contradict_the_height_or_are_blocked() -> None:
     assert "check beacons.b1.height_m" in row(short, "b1").do
     blocked = heard(*(sample(i, los=LineOfSight.NLOS) for i in range(100)))
     assert "100 of 100" in row(blocked, "b1").found
+
+
+def test_a_beacon_that_tells_otherwise_than_the_configuration() -> None:
+    settings = Settings(beacons={"b1": BeaconSettings(height_m=1.5)})
+    found = row(heard(BeaconTold(1, "b1", height_m=0.5), *GOOD, settings=settings), "b1")
+    assert found.state is State.WARN
+    assert "height 0.5 m, the configuration 1.5 m" in found.found
+    told = heard(BeaconTold(1, "b1", height_m=0.5), *GOOD, height_m=9.0)
+    assert "8.50 m above or below" in row(told, "b1").found
 
 
 def test_a_target_out_of_reach() -> None:
