@@ -8,25 +8,31 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from companion import beacons, gate
+from companion import beacons, gate, health
 from companion import vehicle as veh
 from companion.guidance.scheme import UNKNOWN_M
+from companion.health import Health
 from companion.state import Observing, Plan, State
 from companion.types import (
     Attitude,
+    AutopilotWords,
+    BatteryReport,
     BeaconTold,
+    EstimatorReport,
     Event,
     LandedReport,
     LocalMotion,
     Malformed,
     ModeReport,
+    Party,
+    PartyHeard,
     RangeSample,
     StopRequest,
     Tick,
     VehicleHeartbeat,
     Verdict,
 )
-from companion.vehicle import BodyMotion
+from companion.vehicle import BodyMotion, Vehicle
 
 _LONGEST_PREDICTION_S = 1.0
 """After a longer pause of the event stream the prediction is worth nothing anyway."""
@@ -34,6 +40,10 @@ _HEADING_RESET_RAD = 0.2
 """A larger jump between turn and headings is a reset of the autopilot's yaw, not a turn."""
 _POSITION_RESET_M = 0.5
 """A larger jump between moves and positions is a reset of the autopilot's position, not a move."""
+_CLOCK_BACK_MS = 1000
+"""A message whose time lies further back than this came very late, or the autopilot restarted."""
+_CLOCK_BACK_TIMES = 3
+"""So many of them in a row: it restarted."""
 
 
 def take_in(p: Plan, s: State, event: Event) -> State:
@@ -113,6 +123,10 @@ def _on_told(p: Plan, s: State, e: BeaconTold) -> State:
 
 
 def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
+    if e.boot_ms < s.vehicle.boot_ms - _CLOCK_BACK_MS:
+        return _on_clock_back(s, e)
+    if s.health.clock_back:
+        s = replace(s, health=replace(s.health, clock_back=0))
     v = veh.on_attitude(s.vehicle, e)
     o = predict(p, s, e.t_ns, turned_to=v.heading_rad)
     return replace(s, observing=replace(o, heading_rad=v.heading_rad), vehicle=v)
@@ -140,7 +154,26 @@ def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
     )
 
 
+def _on_clock_back(s: State, e: Attitude) -> State:
+    """Late packets are dropped; a clock that stays back is a restart: nothing known before counts any more.
+
+    Only `armed` stays as it was told last: a flight is not over because nothing is known.
+    """
+    times = s.health.clock_back + 1
+    if times < _CLOCK_BACK_TIMES:
+        return replace(s, health=replace(s.health, clock_back=times))
+    v = Vehicle(t_link_ns=s.vehicle.t_link_ns, armed=s.vehicle.armed)
+    return replace(
+        s,
+        vehicle=veh.on_attitude(v, e),
+        observing=replace(s.observing, place=None),
+        health=Health(t_found_ns=e.t_ns, t_reboot_ns=e.t_ns),
+    )
+
+
 def _on_heartbeat(p: Plan, s: State, e: VehicleHeartbeat) -> State:
+    if s.health.t_found_ns is None:
+        s = replace(s, health=replace(s.health, t_found_ns=e.t_ns))
     return replace(s, vehicle=veh.on_heartbeat(s.vehicle, e))
 
 
@@ -150,6 +183,24 @@ def _on_mode(p: Plan, s: State, e: ModeReport) -> State:
 
 def _on_landed(p: Plan, s: State, e: LandedReport) -> State:
     return replace(s, vehicle=replace(s.vehicle, landed=e.landed))
+
+
+def _on_battery(p: Plan, s: State, e: BatteryReport) -> State:
+    return replace(s, health=health.on_battery(s.health, p.settings.loss, e))
+
+
+def _on_estimator(p: Plan, s: State, e: EstimatorReport) -> State:
+    return replace(s, health=replace(s.health, estimator=e))
+
+
+def _on_party(p: Plan, s: State, e: PartyHeard) -> State:
+    if e.party is Party.AUTOPILOT:
+        return replace(s, health=replace(s.health, other_vehicle=e))
+    return replace(s, health=replace(s.health, commander=e))
+
+
+def _on_words(p: Plan, s: State, e: AutopilotWords) -> State:
+    return replace(s, health=replace(s.health, words=e))
 
 
 def _on_malformed(p: Plan, s: State, e: Malformed) -> State:
@@ -173,6 +224,10 @@ _TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
     VehicleHeartbeat: _on_heartbeat,
     ModeReport: _on_mode,
     LandedReport: _on_landed,
+    BatteryReport: _on_battery,
+    EstimatorReport: _on_estimator,
+    PartyHeard: _on_party,
+    AutopilotWords: _on_words,
     Malformed: _on_malformed,
     StopRequest: _on_stop,
     Tick: _on_tick,

@@ -6,7 +6,7 @@ has an entry for decides. A pair without an entry means: stay, and look at the n
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from enum import Enum
 from functools import lru_cache
 
@@ -25,6 +25,16 @@ class Ranges(Enum):
     LATE = "late"
     STALE = "stale"
     LOST = "lost"
+
+
+class Company(Enum):
+    """Who else is on the vehicle's link."""
+
+    __hash__ = object.__hash__  # as `Ranges`
+
+    NOBODY = "nobody"
+    OTHER_VEHICLE = "another autopilot, and it is not configured which one is ours"
+    COMMANDER = "another one that commands our vehicle"
 
 
 class Facts(msgspec.Struct, frozen=True, gc=False):
@@ -49,6 +59,12 @@ class Facts(msgspec.Struct, frozen=True, gc=False):
     """What the guidance is doing: PROBE, TRACK, REST, STAY or REFUSE."""
     held_up: bool = False
     """This app did not run for so long that the autopilot may have acted on its silence."""
+    rebooted: bool = False
+    """The autopilot's clock has begun anew since this phase was entered."""
+    company: Company = Company.NOBODY
+    battery_low: bool = False
+    estimate_invalid: bool = False
+    """What the setpoints need of the autopilot's estimate is told to be invalid."""
 
 
 class Condition(Enum):
@@ -56,7 +72,9 @@ class Condition(Enum):
 
     __hash__ = object.__hash__  # Enum's own, of the name, costs more than all else here
 
+    REBOOTED = "the autopilot restarted"
     FLIGHT_OVER = "disarmed: the flight is over"
+    VEHICLE_CHANGED = "the vehicle is gone, and another one is on its link"
     VEHICLE_GONE = "no heartbeat from the vehicle"
     LEFT_OFFBOARD = "the vehicle left OFFBOARD"
     HELD_UP = "this app did not run for a while: select another mode, then OFFBOARD again"
@@ -66,12 +84,17 @@ class Condition(Enum):
         "OFFBOARD was selected before this app was ready: select another mode, then OFFBOARD again"
     )
     OTHER_MODE = "another mode is selected: OFFBOARD can be chosen anew"
+    SECOND_COMMANDER = "somebody else commands this vehicle"
+    LANDED = "the vehicle is on the ground"
+    BATTERY_LOW = "the battery is low"
+    OTHER_VEHICLE = "another autopilot is on the link"
     INPUTS_MISSING = "telemetry or ranges stopped"
     READY = "vehicle and ranges are there: waiting for OFFBOARD"
     ENGAGED = "OFFBOARD selected"
     HAND_OVER_OVERDUE = "the mode asked for did not come"
     BUDGET_SPENT = "a limit is spent"
     RANGES_LOST = "no ranges for too long"
+    ESTIMATE_INVALID = "the autopilot's estimate is not valid"
     TELEMETRY_LATE = "no heading from the vehicle"
     RANGES_STALE = "no ranges: standing still"
     BEARING_LOST = "no ranges and the bearing is uncertain: standing still"
@@ -87,9 +110,14 @@ def conditions(f: Facts) -> Iterator[Condition]:
     """What holds, most important first."""
     offboard = f.actual is FlightMode.OFFBOARD
     inputs = not (f.vehicle_gone or f.telemetry_late) and f.actual is not None
+    fit = f.company is Company.NOBODY and not (f.battery_low or f.estimate_invalid)
+    if f.rebooted:
+        yield Condition.REBOOTED
     if f.was_engaged and not f.armed:
         yield Condition.FLIGHT_OVER
     if f.vehicle_gone:
+        if f.company is Company.OTHER_VEHICLE:
+            yield Condition.VEHICLE_CHANGED
         yield Condition.VEHICLE_GONE
     if not offboard:
         yield Condition.LEFT_OFFBOARD
@@ -103,9 +131,17 @@ def conditions(f: Facts) -> Iterator[Condition]:
         yield Condition.OFFBOARD_ALREADY
     elif not f.vehicle_gone and f.intended is not None:
         yield Condition.OTHER_MODE
+    if f.company is Company.COMMANDER:
+        yield Condition.SECOND_COMMANDER
+    if f.grounded:
+        yield Condition.LANDED
+    if f.battery_low:
+        yield Condition.BATTERY_LOW
+    if f.company is Company.OTHER_VEHICLE:
+        yield Condition.OTHER_VEHICLE
     if not inputs or f.ranges in (Ranges.STALE, Ranges.LOST):
         yield Condition.INPUTS_MISSING
-    if inputs and f.ranges is Ranges.FRESH:
+    if inputs and fit and f.ranges is Ranges.FRESH:
         yield Condition.READY
         if offboard and f.armed and not f.grounded:
             yield Condition.ENGAGED
@@ -115,6 +151,8 @@ def conditions(f: Facts) -> Iterator[Condition]:
         yield Condition.BUDGET_SPENT
     if f.ranges is Ranges.LOST:
         yield Condition.RANGES_LOST
+    if f.estimate_invalid:
+        yield Condition.ESTIMATE_INVALID
     if f.telemetry_late:
         yield Condition.TELEMETRY_LATE
     if f.ranges in (Ranges.STALE, Ranges.LOST):
@@ -136,14 +174,23 @@ _PURPOSE = {
 }
 
 _C, _P = Condition, Phase
-_LEAVE = {
+_SILENCED = {
+    _C.REBOOTED: _P.RELEASED,
     _C.FLIGHT_OVER: _P.ENDED,
+    _C.VEHICLE_CHANGED: _P.RELEASED,
     _C.VEHICLE_GONE: _P.RELEASED,
     _C.LEFT_OFFBOARD: _P.RELEASED,
     _C.HELD_UP: _P.RELEASED,
+}
+"""Nobody to steer any more, or nobody known to be: every phase that steers falls silent so."""
+_LEAVE = _SILENCED | {
     _C.STOP_ASKED: _P.HAND_OVER,
+    _C.SECOND_COMMANDER: _P.HAND_OVER,
+    _C.LANDED: _P.HAND_OVER,
+    _C.BATTERY_LOW: _P.HAND_OVER,
     _C.BUDGET_SPENT: _P.HAND_OVER,
     _C.RANGES_LOST: _P.HAND_OVER,
+    _C.ESTIMATE_INVALID: _P.STALL,
     _C.TELEMETRY_LATE: _P.STALL,
     _C.RANGES_STALE: _P.STALL,
     _C.REFUSING: _P.HAND_OVER,
@@ -159,15 +206,23 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
         _C.READY: _P.STANDBY,
     },
     _P.STANDBY: {
+        _C.REBOOTED: _P.AWAIT,
         _C.FLIGHT_OVER: _P.ENDED,
+        _C.VEHICLE_CHANGED: _P.AWAIT,
         _C.VEHICLE_GONE: _P.AWAIT,
         _C.HELD_UP: _P.AWAIT,
         _C.STOP_ASKED: _P.ENDED,
+        _C.SECOND_COMMANDER: _P.AWAIT,
+        _C.BATTERY_LOW: _P.AWAIT,
+        _C.OTHER_VEHICLE: _P.AWAIT,
         _C.INPUTS_MISSING: _P.AWAIT,
+        _C.ESTIMATE_INVALID: _P.AWAIT,
         _C.ENGAGED: _P.ACQUIRE,
     },
     _P.INHIBITED: {
+        _C.REBOOTED: _P.AWAIT,
         _C.FLIGHT_OVER: _P.ENDED,
+        _C.VEHICLE_CHANGED: _P.AWAIT,
         _C.VEHICLE_GONE: _P.AWAIT,
         _C.STOP_ASKED: _P.ENDED,
         _C.OTHER_MODE: _P.AWAIT,
@@ -216,13 +271,7 @@ TABLE: dict[Phase, dict[Condition, Phase]] = {
         _C.RESTING: _P.HOLD,
         _C.STAYING: _P.ACQUIRE,
     },
-    _P.HAND_OVER: {
-        _C.FLIGHT_OVER: _P.ENDED,
-        _C.VEHICLE_GONE: _P.RELEASED,
-        _C.LEFT_OFFBOARD: _P.RELEASED,
-        _C.HELD_UP: _P.RELEASED,
-        _C.HAND_OVER_OVERDUE: _P.RELEASED,
-    },
+    _P.HAND_OVER: _SILENCED | {_C.HAND_OVER_OVERDUE: _P.RELEASED},
     _P.RELEASED: {
         _C.FLIGHT_OVER: _P.ENDED,
         _C.STOP_ASKED: _P.ENDED,
@@ -250,15 +299,30 @@ def step(phase: Phase, facts: Facts) -> tuple[Phase, Condition | None]:
 
     The facts stay the same for many events on end, so the answers to the latest are kept.
     """
+    return decide(phase, conditions(facts))
+
+
+def decide(phase: Phase, holding: Iterable[Condition]) -> tuple[Phase, Condition | None]:
+    """What the table makes of conditions in their order: the first one with an entry decides."""
     row = TABLE[phase]
-    for condition in conditions(facts):
+    for condition in holding:
         after = row.get(condition)
         if after is not None:
             return (phase, None) if after is phase else (after, condition)
     return phase, None
 
 
-_ALARMING = frozenset({_C.VEHICLE_GONE, _C.HELD_UP, _C.HAND_OVER_OVERDUE, _C.BUDGET_SPENT, _C.RANGES_LOST})
+_ALARMING = frozenset(
+    {
+        _C.REBOOTED,
+        _C.VEHICLE_CHANGED,
+        _C.VEHICLE_GONE,
+        _C.HELD_UP,
+        _C.HAND_OVER_OVERDUE,
+        _C.BUDGET_SPENT,
+        _C.RANGES_LOST,
+    }
+)
 
 
 def severity(after: Phase, condition: Condition) -> Severity:

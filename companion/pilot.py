@@ -8,18 +8,22 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion import limits, phase
+from companion import limits, phase, reasons
 from companion.beacons import configured
 from companion.guidance import schemes, station, station_paper
 from companion.guidance.station_settings import BEACONS_NEEDED
+from companion.health import Health, battery_low, can_fly, fresh_estimator
 from companion.intake import predict, take_in
 from companion.phase import Condition, Facts, Ranges
 from companion.settings import Settings
 from companion.state import STANDSTILL, Flight, Observing, Plan, Ranging, State, Steering, age_s
-from companion.status import snapshot, with_the_silent
+from companion.status import snapshot, who
 from companion.types import (
     Attitude,
+    AutopilotWords,
+    BatteryReport,
     CompanionHeartbeat,
+    EstimatorReport,
     Event,
     FlightMode,
     Landed,
@@ -27,6 +31,7 @@ from companion.types import (
     Malformed,
     ModeRequest,
     Output,
+    PartyHeard,
     Phase,
     PhaseChange,
     RangeSample,
@@ -71,7 +76,17 @@ def _station_plan(settings: Settings) -> Plan:
 def initial(p: Plan) -> State:
     """Nothing seen, nothing sent."""
     observing = Observing(p.scheme.initial(p.scheme.p))
-    return State(Phase.AWAIT, "started", None, Vehicle(), Ranging(p.beacons), observing, Steering(), Flight())
+    return State(
+        Phase.AWAIT,
+        "started",
+        None,
+        Vehicle(),
+        Ranging(p.beacons),
+        observing,
+        Steering(),
+        Flight(),
+        Health(),
+    )
 
 
 def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
@@ -96,7 +111,9 @@ def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
     return _upkeep(p, s, t_ns, outputs)
 
 
-_MERE_TELEMETRY = frozenset({Attitude, LocalMotion, Malformed})
+_MERE_TELEMETRY = frozenset(
+    {Attitude, LocalMotion, Malformed, BatteryReport, EstimatorReport, PartyHeard, AutopilotWords}
+)
 
 
 def _verdict(s: State, e: RangeSample) -> RangeVerdict:
@@ -110,28 +127,20 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
     after, condition = phase.step(s.phase, _facts(p, s, t_ns))
     if condition is None:
         return s, None
-    reason = condition.value
-    if condition is Condition.BUDGET_SPENT:
-        reason = limits.spent(p.settings.limits, s.steering.limits, t_ns) or reason
-    elif condition in _LOSSES:
-        reason = with_the_silent(p, s, t_ns, reason)
-    if p.settings.mission.shadow:
-        reason = f"shadow: {reason}"
+    reason = reasons.reason(p, s, after, condition, t_ns)
     severity = phase.severity(after, condition)
     change = PhaseChange(t_ns=t_ns, before=s.phase, after=after, reason=reason, severity=severity)
     s = replace(s, phase=after, reason=reason, t_phase_ns=t_ns, flight=replace(s.flight, t_request_ns=None))
     return _enter(p, s, after, condition, t_ns), change
 
 
-_LOSSES = frozenset(
-    {Condition.RANGES_LATE, Condition.BEARING_LOST, Condition.RANGES_STALE, Condition.RANGES_LOST}
-)
-
-
 def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> State:
     """What a transition does besides changing the phase."""
     if s.flight.t_engaged_ns and not after.is_engaged and not s.flight.engaged_s:
         s = replace(s, flight=replace(s.flight, engaged_s=age_s(s.flight.t_engaged_ns, t_ns)))
+    if after is Phase.HAND_OVER:
+        to = reasons.hand_over_to(p, s, condition, t_ns)
+        return replace(s, flight=replace(s.flight, hand_over_to=to))
     if condition is Condition.ENGAGED:
         return replace(
             s,
@@ -188,11 +197,23 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         budget_spent=s.phase.is_engaged
         and limits.spent(p.settings.limits, s.steering.limits, t_ns) is not None,
         hand_over_overdue=s.phase in phase.ASKING
-        and (cfg.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
+        and (s.flight.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
         purpose=s.steering.command.purpose,
         held_up=s.phase in phase.STREAMING
         and min(in_phase_s, age_s(None if sent is None else sent.t_ns, t_ns)) > cfg.held_up_after_s,
+        rebooted=s.health.t_reboot_ns is not None and s.health.t_reboot_ns > (s.t_phase_ns or 0),
+        company=who(p, s, t_ns),
+        battery_low=battery_low(s.health, cfg),
+        estimate_invalid=_estimate_invalid(p, s, t_ns),
     )
+
+
+def _estimate_invalid(p: Plan, s: State, t_ns: int) -> bool:
+    e, cfg = fresh_estimator(s.health, t_ns), p.settings.vehicle
+    if e is not None and not can_fly(cfg, e):
+        return True
+    # A height is needed to begin with; once engaged the one to hold is known.
+    return cfg.setpoint_frame == "local_ned" and s.vehicle.height_m is None and not s.phase.is_engaged
 
 
 def _as_if_selected(s: State) -> Vehicle:
@@ -262,7 +283,7 @@ def _upkeep(p: Plan, s: State, t_ns: int, outputs: list[Output]) -> tuple[State,
         outputs.append(CompanionHeartbeat(t_ns=t_ns, system_status=_system_status(s.phase)))
         s = replace(s, flight=replace(f, t_heartbeat_ns=t_ns))
     if s.phase in phase.ASKING and age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S:
-        mode = _HAND_OVER_MODE.get(p.settings.loss.hand_over_to)
+        mode = _HAND_OVER_MODE.get(s.flight.hand_over_to)
         if mode is not None:
             outputs.append(ModeRequest(t_ns=t_ns, mode=mode))
             s = replace(s, flight=replace(s.flight, t_request_ns=t_ns))

@@ -428,6 +428,22 @@ class LossSettings(Table, frozen=True):
         float,
         Meta(gt=0.0, le=60.0, description="The hand-over mode not reached after this long: fall silent."),
     ] = 3.0
+    battery_hand_over: Annotated[
+        Literal["low", "critical", "never"],
+        Meta(
+            description=(
+                "Hand over, and do not begin, once the autopilot calls its battery `low` or `critical`."
+            )
+        ),
+    ] = "low"
+    battery_share: Annotated[
+        float,
+        Meta(ge=0.0, le=1.0, description="A battery with less left than this share is low in any case."),
+    ] = 0.15
+    battery_to: Annotated[
+        Literal["land", "hold", "release"],
+        Meta(description="As `hand_over_to`, for a low battery."),
+    ] = "land"
     telemetry_after_s: Annotated[
         float, Meta(gt=0.0, le=10.0, description="No heading for this long: stand still.")
     ] = 0.5

@@ -10,6 +10,7 @@ import msgspec
 from companion import gate
 from companion.beacons import Beacon
 from companion.guidance.scheme import PROBE, Command, Scheme
+from companion.health import Health
 from companion.limits import LimitState
 from companion.settings import Settings
 from companion.types import Phase, Setpoint, Verdict
@@ -90,6 +91,8 @@ class Flight(msgspec.Struct, frozen=True, gc=False):
     t_heartbeat_ns: int | None = None
     t_status_ns: int | None = None
     t_request_ns: int | None = None
+    hand_over_to: str = ""
+    """What the hand-over under way asks for, as in `loss.hand_over_to`."""
 
 
 class State(msgspec.Struct, frozen=True, gc=False):
@@ -103,6 +106,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     observing: Observing
     steering: Steering
     flight: Flight
+    health: Health
 
 
 def age_s(then_ns: int | None, now_ns: int) -> float:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from companion import phase
 from companion.guidance.scheme import UNKNOWN_M
+from companion.health import WITHOUT, battery_low, battery_words, fresh_estimator, shortfalls
+from companion.phase import Company
 from companion.state import Plan, State, age_s
-from companion.types import Estimate, Phase, Status
+from companion.types import Charge, Estimate, Landed, Phase, Status
 
 
 def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
@@ -15,6 +19,11 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
         missing.append(f"autopilot HEARTBEAT on {cfg.vehicle.mavlink}")
     elif age_s(s.vehicle.t_attitude_ns, t_ns) > cfg.loss.telemetry_after_s:
         missing.append(f"ATTITUDE on {cfg.vehicle.mavlink}")
+    elif cfg.vehicle.setpoint_frame == "local_ned" and s.vehicle.height_m is None:
+        missing.append(f"LOCAL_POSITION_NED on {cfg.vehicle.mavlink}")
+    if missing and cfg.mission.shadow and s.vehicle.t_link_ns is not None:
+        missing[-1] += ", which a shadow does not ask for: let the autopilot stream it"
+    missing.extend(_unfit(p, s, t_ns))
     if age_s(s.ranging.t_enough_ns, t_ns) > cfg.loss.coast_after_s:
         door = ", ".join(cfg.ranges.connect + cfg.ranges.listen) or "no endpoint configured"
         missing.extend(
@@ -22,6 +31,35 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
             for beacon in silent(p, s, t_ns)
         )
     return tuple(missing)
+
+
+def _unfit(p: Plan, s: State, t_ns: int) -> Iterator[str]:
+    """What the vehicle lacks for a flight, and who else is there, each with what to do."""
+    cfg, h = p.settings, s.health
+    if battery_low(h, cfg.loss):
+        yield f"a charged battery ({battery_words(h)}; [loss] battery_hand_over, battery_share)"
+    company = who(p, s, t_ns)
+    if company is Company.COMMANDER and h.commander is not None:
+        c = h.commander
+        ids = f"system {c.system_id} component {c.component_id}"
+        yield f"the end of {c.party.value} ({c.message} from {ids}): stop the other one"
+    if company is Company.OTHER_VEHICLE and h.other_vehicle is not None:
+        other = h.other_vehicle.system_id
+        yield f"the choice of an autopilot: system {other} is heard as well; set vehicle.target_system"
+    e = fresh_estimator(h, t_ns)
+    if e is not None:
+        lacks = shortfalls(cfg.vehicle, cfg.loss.hand_over_to, e)
+        yield from (f"a valid estimate. {lack.text()}" for lack in lacks if lack.vital)
+
+
+def who(p: Plan, s: State, t_ns: int) -> Company:
+    """Who else was heard within the time in which a vehicle counts as there."""
+    h, after_s = s.health, p.settings.loss.vehicle_after_s
+    if h.commander is not None and age_s(h.commander.t_ns, t_ns) <= after_s:
+        return Company.COMMANDER
+    if h.other_vehicle is not None and age_s(h.other_vehicle.t_ns, t_ns) <= after_s:
+        return Company.OTHER_VEHICLE
+    return Company.NOBODY
 
 
 def silent(p: Plan, s: State, t_ns: int) -> list[str]:
@@ -42,14 +80,44 @@ _RIVAL_S = 5.0
 """A second publisher is told for so long after it was heard last."""
 
 
-def warnings(s: State, t_ns: int) -> tuple[str, ...]:
-    """What a person should know of the ranges, a line each."""
+_TELL_WITHIN_S = 5.0
+"""What an autopilot has not told by then, it will not tell."""
+_WORDS_S = 10.0
+"""The autopilot's words are shown for so long."""
+
+
+def _vehicle_warnings(p: Plan, s: State, t_ns: int) -> Iterator[str]:
+    """What the vehicle never told and what would not work, by name, and what it says."""
+    v, h = s.vehicle, s.health
+    if h.words is not None and age_s(h.words.t_ns, t_ns) <= _WORDS_S:
+        yield f"the autopilot says: {h.words.text}"
+    e = fresh_estimator(h, t_ns)
+    if e is not None:
+        lacks = shortfalls(p.settings.vehicle, p.settings.loss.hand_over_to, e)
+        yield from (lack.text() for lack in lacks if not lack.vital)
+    if h.t_found_ns is None or age_s(h.t_found_ns, t_ns) <= _TELL_WITHIN_S:
+        return
+    told = {
+        "LOCAL_POSITION_NED": v.t_motion_ns is not None,
+        "CURRENT_MODE": v.t_mode_ns is not None,
+        "EXTENDED_SYS_STATE": v.landed is not Landed.UNKNOWN,
+        "ESTIMATOR_STATUS": h.estimator is not None,
+        "BATTERY_STATUS": h.share is not None or h.charge is not Charge.UNKNOWN,
+    }
+    for name, came in told.items():
+        if not came:
+            yield f"{name} never came within {_TELL_WITHIN_S:g} s. {WITHOUT[name]}"
+
+
+def warnings(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
+    """What a person should know of ranges and vehicle, a line each."""
     told = [b.contradiction for b in s.ranging.beacons.values() if b.contradiction]
     told.extend(
         f"two publishers of {beacon}: session {t.session[:16]} is believed, {t.rival[:16]} is not"
         for beacon, t in s.ranging.tracks.items()
         if t.rival and age_s(t.rival_t_ns, t_ns) < _RIVAL_S
     )
+    told.extend(_vehicle_warnings(p, s, t_ns))
     return tuple(told)
 
 
@@ -86,7 +154,7 @@ def snapshot(p: Plan, s: State, t_ns: int) -> Status:
         engaged_s=engaged_s,
         captured=s.flight.captured,
         beacons=_ages(p, s, t_ns),
-        warnings=warnings(s, t_ns),
+        warnings=warnings(p, s, t_ns),
     )
 
 

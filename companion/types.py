@@ -63,6 +63,23 @@ class Landed(Enum):
     LANDING = "landing"
 
 
+class Charge(Enum):
+    """What an autopilot thinks of its battery."""
+
+    UNKNOWN = "unknown"
+    OK = "ok"
+    LOW = "low"
+    CRITICAL = "critical"
+
+
+class Party(Enum):
+    """Somebody else on the vehicle's link."""
+
+    AUTOPILOT = "another autopilot"
+    TWIN = "another companion with our own ids"
+    COMMANDER = "somebody else's setpoints"
+
+
 class Verdict(Enum):
     """What became of a range."""
 
@@ -179,6 +196,37 @@ class LandedReport(Event, frozen=True, gc=False, tag="landed"):
     landed: Landed
 
 
+class BatteryReport(Event, frozen=True, gc=False, tag="battery"):
+    """BATTERY_STATUS or SYS_STATUS: the autopilot's judgement, and the share that is left, 0 to 1."""
+
+    charge: Charge = Charge.UNKNOWN
+    share: float | None = None
+
+
+class EstimatorReport(Event, frozen=True, gc=False, tag="estimator"):
+    """ESTIMATOR_STATUS (ArduPilot: EKF_STATUS_REPORT): what of the autopilot's estimate is valid."""
+
+    velocity: bool
+    position: bool
+    height: bool
+    global_position: bool
+
+
+class PartyHeard(Event, frozen=True, gc=False, tag="party"):
+    """Somebody else spoke on the vehicle's link: who, with its ids, and what it said."""
+
+    party: Party
+    system_id: int
+    component_id: int
+    message: str
+
+
+class AutopilotWords(Event, frozen=True, gc=False, tag="words"):
+    """What the autopilot says to people: STATUSTEXT, or an EVENT of PX4's that is known, in words."""
+
+    text: str
+
+
 class StopRequest(Event, frozen=True, gc=False, tag="stop"):
     """The person at the keyboard wants the flight to end (Ctrl-C, SIGTERM)."""
 
@@ -196,6 +244,10 @@ AnyEvent = (
     | VehicleHeartbeat
     | ModeReport
     | LandedReport
+    | BatteryReport
+    | EstimatorReport
+    | PartyHeard
+    | AutopilotWords
     | StopRequest
     | Tick
 )
@@ -365,9 +417,7 @@ class Status(Output, frozen=True, gc=False, tag="status"):
     ] = {}
     warnings: Annotated[
         tuple[str, ...],
-        Meta(
-            description="what a person should know of the ranges: two publishers, a beacon that contradicts"
-        ),
+        Meta(description="what a person should know: two publishers, a contradiction, what is not told"),
     ] = ()
 
 

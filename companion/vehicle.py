@@ -27,6 +27,8 @@ class Vehicle(msgspec.Struct, frozen=True, gc=False):
     t_attitude_ns: int | None = None
     heading_rad: float = 0.0
     yaw_rate_rad_s: float = 0.0
+    boot_ms: int = 0
+    """The autopilot's own clock, of the last attitude."""
     t_motion_ns: int | None = None
     x_m: float | None = None
     y_m: float | None = None
@@ -59,7 +61,9 @@ def on_attitude(v: Vehicle, e: Attitude) -> Vehicle:
     """ATTITUDE."""
     if not (math.isfinite(e.heading_rad) and math.isfinite(e.yaw_rate_rad_s)):
         return v
-    return replace(v, t_attitude_ns=e.t_ns, heading_rad=e.heading_rad, yaw_rate_rad_s=e.yaw_rate_rad_s)
+    return replace(
+        v, t_attitude_ns=e.t_ns, heading_rad=e.heading_rad, yaw_rate_rad_s=e.yaw_rate_rad_s, boot_ms=e.boot_ms
+    )
 
 
 def on_motion(v: Vehicle, e: LocalMotion) -> Vehicle:

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 from companion.check import parameters
 from companion.check.report import Part, Row, State, never_came
+from companion.health import WITHOUT, shortfalls
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
-from companion.link.survey import Charge, VehicleFindings, wanted_rates
+from companion.link.survey import VehicleFindings, wanted_rates
 from companion.settings import Settings
-from companion.types import FlightMode, Landed
+from companion.types import Charge, FlightMode, Landed
 
 _LOW_SHARE = 0.3
 """Below this a flight should not begin; PX4 itself warns at BAT_LOW_THR, 15 %."""
@@ -27,9 +28,7 @@ def judge(settings: Settings, found: VehicleFindings, is_signing: bool, watched_
     yield from _others(settings, found)
     yield from _autopilot(settings, found, watched_s)
     if found.estimator is None:
-        yield never_came(
-            Part.ESTIMATE, "ESTIMATOR_STATUS", watched_s, "Whether OFFBOARD can run is not known."
-        )
+        yield never_came(Part.ESTIMATE, "ESTIMATOR_STATUS", watched_s, WITHOUT["ESTIMATOR_STATUS"])
     else:
         yield from _estimate(settings, found)
     yield from _telemetry(settings, found)
@@ -243,7 +242,7 @@ def _battery(found: VehicleFindings, watched_s: float) -> Row:
         return Row(Part.AUTOPILOT, "battery", State.FAIL, text, why, do)
     if share is None:
         text = text or f"SYS_STATUS and BATTERY_STATUS told nothing within {watched_s:.1f} s"
-        why = "Nobody will notice an empty one."
+        why = WITHOUT["BATTERY_STATUS"]
         return Row(Part.AUTOPILOT, "battery", State.WARN, text, why, "calibrate PX4's power module")
     if share < _LOW_SHARE:
         why = "A low battery ends the flight early (COM_LOW_BAT_ACT)."
@@ -257,55 +256,20 @@ def _battery(found: VehicleFindings, watched_s: float) -> Row:
 def _estimate(settings: Settings, found: VehicleFindings) -> Iterator[Row]:
     e = found.estimator
     assert e is not None
-    frame = settings.vehicle.setpoint_frame
-    if e.velocity:
-        yield Row(Part.ESTIMATE, "velocity", State.OK, "valid")
-    else:
-        yield Row(
-            Part.ESTIMATE,
-            "velocity",
-            State.FAIL,
-            "not valid",
-            'OFFBOARD cannot run. PX4 then says "no offboard signal", though setpoints arrive.',
-            "wait for GPS, or give it optical flow or vision (EKF2_OF_CTRL; EKF2_EV_CTRL = 15, "
-            "EKF2_HGT_REF = 3, EKF2_MAG_TYPE = 5 and ODOMETRY at 25 Hz or more)",
-        )
-    position = e.position and e.height
-    if position or frame == "body_ned":
-        text = "valid" if position else "not valid; body_ned does not need it"
-        yield Row(Part.ESTIMATE, "local position", State.OK, text)
-    else:
-        yield Row(
-            Part.ESTIMATE,
-            "local position",
-            State.FAIL,
-            "not valid" if not e.position else "height not valid",
-            "Setpoints with a height (vehicle.setpoint_frame = local_ned) need it.",
-            'wait for it, or set vehicle.setpoint_frame = "body_ned"',
-        )
-    if e.global_position:
-        yield Row(Part.ESTIMATE, "global position", State.OK, "valid")
-    else:
-        asks = settings.loss.hand_over_to == "hold"
-        yield Row(
-            Part.ESTIMATE,
-            "global position",
-            State.WARN,
-            "none",
-            "Hold and Return are not available without it"
-            + (", and the hand-over asks for Hold (loss.hand_over_to)." if asks else "."),
-            "set COM_OBL_RC_ACT = 4 (Land)" + (' and loss.hand_over_to = "land"' if asks else ""),
-        )
+    missing = {lack.subject: lack for lack in shortfalls(settings.vehicle, settings.loss.hand_over_to, e)}
+    needless = settings.vehicle.setpoint_frame == "body_ned" and not (e.position and e.height)
+    for subject in ("velocity", "local position", "global position"):
+        lack = missing.get(subject)
+        if lack is not None:
+            state = State.FAIL if lack.vital else State.WARN
+            yield Row(Part.ESTIMATE, subject, state, lack.found, lack.why, lack.do)
+        elif subject == "local position" and needless:
+            yield Row(Part.ESTIMATE, subject, State.OK, "not valid; body_ned does not need it")
+        else:
+            yield Row(Part.ESTIMATE, subject, State.OK, "valid")
 
 
 def _telemetry(settings: Settings, found: VehicleFindings) -> Iterator[Row]:
-    lost = {
-        "ATTITUDE": "Without a heading the app stands still.",
-        "LOCAL_POSITION_NED": "Speed and height are not known.",
-        "CURRENT_MODE": "The mode is then known by HEARTBEAT only, up to 1 s late, and the intended mode not "
-        "at all: after a takeover only a restart on the ground lets OFFBOARD be chosen anew.",
-        "EXTENDED_SYS_STATE": "Whether it stands on the ground is not known.",
-    }
     vital = {"ATTITUDE"} | (
         {"LOCAL_POSITION_NED"} if settings.vehicle.setpoint_frame == "local_ned" else set()
     )
@@ -321,7 +285,7 @@ def _telemetry(settings: Settings, found: VehicleFindings) -> Iterator[Row]:
             f"{rate_hz:.0f} Hz of {wanted_hz:g} Hz wanted"
             if rate_hz
             else f"never came; wanted {wanted_hz:g} Hz",
-            lost[name] if not rate_hz else "Late telemetry makes the flight less exact.",
+            WITHOUT[name] if not rate_hz else "Late telemetry makes the flight less exact.",
             "if the estimate is not valid, mend that first; else raise the link's baud rate and MAV_1_RATE"
             if name == "LOCAL_POSITION_NED"
             else "raise the link's baud rate and MAV_1_RATE, or lower vehicle.telemetry_rate_hz",

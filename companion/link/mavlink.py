@@ -1,7 +1,8 @@
-"""The vehicle over MAVLink 2: telemetry to events, outputs to messages. The NED signs live here alone.
+"""The vehicle over MAVLink 2: telemetry to events, outputs to messages.
 
-MAVLink's local frame is x North, y East, z down, yaw clockwise from North; ours is x East, y North, height
-up, heading counter-clockwise from East (see `companion.types`).
+The NED signs live here, for what goes out, and in `decode.py`, for what comes in. MAVLink's local frame is
+x North, y East, z down, yaw clockwise from North; ours is x East, y North, height up, heading
+counter-clockwise from East (see `companion.types`).
 """
 
 from __future__ import annotations
@@ -13,50 +14,23 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.link.decode import DECODERS, WORDS, heading_from_yaw
 from companion.link.ground_station import GroundStation
+from companion.link.modes import PX4_CUSTOM
 from companion.link.signing import REFUSALS, SignedMavlink, is_signed
 from companion.link.transport import Transport, open_transport
 from companion.settings import VehicleSettings
 from companion.types import (
-    Attitude,
     CompanionHeartbeat,
     Defect,
     Event,
-    FlightMode,
-    Landed,
-    LandedReport,
-    LocalMotion,
     Malformed,
-    ModeReport,
     ModeRequest,
     Output,
+    Party,
+    PartyHeard,
     Setpoint,
-    VehicleHeartbeat,
 )
-
-_PX4_MODES = {
-    (1, 0): FlightMode.MANUAL,
-    (2, 0): FlightMode.ALTCTL,
-    (3, 0): FlightMode.POSCTL,
-    (4, 1): FlightMode.AUTO_READY,
-    (4, 2): FlightMode.AUTO_TAKEOFF,
-    (4, 3): FlightMode.AUTO_LOITER,
-    (4, 4): FlightMode.AUTO_MISSION,
-    (4, 5): FlightMode.AUTO_RTL,
-    (4, 6): FlightMode.AUTO_LAND,
-    (5, 0): FlightMode.ACRO,
-    (6, 0): FlightMode.OFFBOARD,
-    (7, 0): FlightMode.STABILIZED,
-}
-"""PX4 custom mode (main, sub) → mode."""
-_PX4_CUSTOM = {mode: number for number, mode in _PX4_MODES.items()}
-
-_LANDED = {
-    mavlink.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
-    mavlink.MAV_LANDED_STATE_IN_AIR: Landed.IN_AIR,
-    mavlink.MAV_LANDED_STATE_TAKEOFF: Landed.TAKING_OFF,
-    mavlink.MAV_LANDED_STATE_LANDING: Landed.LANDING,
-}
 
 # POSITION_TARGET_TYPEMASK: a set bit means "ignore".
 _IGNORE_XY, _IGNORE_Z = 1 | 2, 4
@@ -67,21 +41,18 @@ _MASK_VELOCITY = _IGNORE_XY | _IGNORE_Z | _IGNORE_ACCELERATION | _IGNORE_YAW
 _SIGNED_ONLY = frozenset({"HEARTBEAT", "CURRENT_MODE"})
 """On a signed link these are believed with a verified signature only, whatever else is."""
 
+_STEERING = frozenset(
+    {
+        "SET_POSITION_TARGET_LOCAL_NED",
+        "SET_POSITION_TARGET_GLOBAL_INT",
+        "SET_ATTITUDE_TARGET",
+        "SET_ACTUATOR_CONTROL_TARGET",
+    }
+)
+"""Setpoints: whoever sends these to our vehicle flies it."""
+
 _MODE_RATE_HZ = 20.0
 _LANDED_RATE_HZ = 5.0
-
-
-def px4_mode(custom_mode: int) -> FlightMode:
-    """PX4's custom_mode as a flight mode."""
-    main, sub = (custom_mode >> 16) & 0xFF, (custom_mode >> 24) & 0xFF
-    return _PX4_MODES.get((main, sub if main == 4 else 0), FlightMode.OTHER)
-
-
-def heading_from_yaw(yaw_ned_rad: float) -> float:
-    """NED yaw (clockwise from North) → heading (counter-clockwise from East), in (−π, π]. Its own inverse."""
-    heading = math.pi / 2.0 - yaw_ned_rad
-    wrapped = math.remainder(heading, 2.0 * math.pi)
-    return math.pi if wrapped == -math.pi else wrapped
 
 
 class VehicleLink:
@@ -153,13 +124,12 @@ class VehicleLink:
             defect = Defect.MAVLINK_SIGNATURE if m.reason in REFUSALS else Defect.MAVLINK_BYTES
             return Malformed(t_ns=t_ns, defect=defect, detail=str(m.reason)[:80])
         system, component = m.get_srcSystem(), m.get_srcComponent()
-        if component != mavlink.MAV_COMP_ID_AUTOPILOT1:
-            return None
-        if self._target_system not in (0, system):
-            return None
-        decode = _DECODERS.get(kind)
+        if component != mavlink.MAV_COMP_ID_AUTOPILOT1 or self._target_system not in (0, system):
+            return self._party(m, kind, t_ns)
+        decode = DECODERS.get(kind)
         if decode is None:
-            return None
+            words = WORDS.get(kind)
+            return None if words is None or self._target_system == 0 else words(m, t_ns)
         if self._is_signing and kind in _SIGNED_ONLY and not is_signed(m):
             return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_SIGNATURE, detail=f"{kind} not signed")
         if self._target_system == 0:
@@ -174,6 +144,25 @@ class VehicleLink:
         if event is None:
             return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_FIELD, detail=kind)
         return event
+
+    def _party(self, m: Any, kind: str, t_ns: int) -> Event | None:
+        """Somebody else, where it matters: another vehicle to mix up, or another one who steers ours.
+
+        On a signed link nobody without the key steers. What cannot be seen: setpoints on other links of the
+        autopilot, which it does not pass on to this one.
+        """
+        ours, system, component = self._target_system, m.get_srcSystem(), m.get_srcComponent()
+        party = None
+        if self._is_signing and not is_signed(m):
+            return None
+        if kind == "HEARTBEAT":
+            if (system, component) == (ours, self._settings.component_id):
+                party = Party.TWIN
+            elif component == mavlink.MAV_COMP_ID_AUTOPILOT1 and not self._settings.target_system:
+                party = Party.AUTOPILOT if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID else None
+        elif kind in _STEERING and ours and m.target_system in (0, ours):
+            party = Party.COMMANDER
+        return None if party is None else PartyHeard(t_ns, party, system, component, kind)
 
     def _adopt(self, system: int) -> None:
         """The first autopilot heard is ours; we are part of its system."""
@@ -214,7 +203,7 @@ class VehicleLink:
                 )
             )
         elif isinstance(output, ModeRequest):
-            main, sub = _PX4_CUSTOM[output.mode]
+            main, sub = PX4_CUSTOM[output.mode]
             base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             self._command(mavlink.MAV_CMD_DO_SET_MODE, base, main, sub)
         elif self._ground is not None and self._target_system:  # nobody would hear it before
@@ -269,56 +258,3 @@ def setpoint_message(s: Setpoint, target_system: int) -> Any:
         0.0,
         -s.yaw_rate_rad_s,
     )
-
-
-# ------------------------------------------------------------------------------------------- decoders
-
-
-def _heartbeat(m: Any, t_ns: int) -> Event | None:
-    mode = px4_mode(m.custom_mode) if m.autopilot == mavlink.MAV_AUTOPILOT_PX4 else FlightMode.OTHER
-    armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-    return VehicleHeartbeat(t_ns=t_ns, system_id=m.get_srcSystem(), mode=mode, armed=armed)
-
-
-def _current_mode(m: Any, t_ns: int) -> Event | None:
-    intended = px4_mode(m.intended_custom_mode) if m.intended_custom_mode else None
-    return ModeReport(t_ns=t_ns, actual=px4_mode(m.custom_mode), intended=intended)
-
-
-def _extended_sys_state(m: Any, t_ns: int) -> Event | None:
-    return LandedReport(t_ns=t_ns, landed=_LANDED.get(m.landed_state, Landed.UNKNOWN))
-
-
-def _attitude(m: Any, t_ns: int) -> Event | None:
-    if not (math.isfinite(m.yaw) and math.isfinite(m.yawspeed)):
-        return None
-    return Attitude(
-        t_ns=t_ns,
-        heading_rad=heading_from_yaw(m.yaw),
-        yaw_rate_rad_s=-m.yawspeed,
-        boot_ms=m.time_boot_ms,
-    )
-
-
-def _local_position(m: Any, t_ns: int) -> Event | None:
-    if not (math.isfinite(m.vx) and math.isfinite(m.vy)):
-        return None
-    return LocalMotion(
-        t_ns=t_ns,
-        x_m=m.y if math.isfinite(m.y) else None,
-        y_m=m.x if math.isfinite(m.x) else None,
-        height_m=-m.z if math.isfinite(m.z) else None,
-        vx_m_s=m.vy,
-        vy_m_s=m.vx,
-        climb_m_s=-m.vz if math.isfinite(m.vz) else 0.0,
-        boot_ms=m.time_boot_ms,
-    )
-
-
-_DECODERS: dict[str, Callable[[Any, int], Event | None]] = {
-    "HEARTBEAT": _heartbeat,
-    "CURRENT_MODE": _current_mode,
-    "EXTENDED_SYS_STATE": _extended_sys_state,
-    "ATTITUDE": _attitude,
-    "LOCAL_POSITION_NED": _local_position,
-}

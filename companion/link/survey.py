@@ -11,18 +11,18 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Any, NamedTuple
 
 import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.link.mavlink import px4_mode
+from companion.link import decode
+from companion.link.modes import px4_mode
 from companion.link.signing import REFUSALS, SignedMavlink
 from companion.link.transport import Transport, open_transport
 from companion.link.zenoh_ranges import RangeLink
 from companion.settings import RangesSettings, VehicleSettings
-from companion.types import FlightMode, Landed, SystemStatus
+from companion.types import Charge, EstimatorReport, FlightMode, Landed, SystemStatus
 
 PARAMETERS = ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "COM_RC_OVERRIDE", "MIS_TAKEOFF_ALT")
 """What is judged of PX4's parameters."""
@@ -42,24 +42,6 @@ def wanted_rates(settings: VehicleSettings) -> dict[str, float]:
     """The streams of a flight and the rates that it asks for, Hz."""
     rate = settings.telemetry_rate_hz
     return dict(zip(STREAMED, (rate, rate, 20.0, 5.0), strict=True))
-
-
-class Charge(Enum):
-    """BATTERY_STATUS.charge_state: the autopilot's own judgement."""
-
-    UNKNOWN = "unknown"
-    OK = "ok"
-    LOW = "low"
-    CRITICAL = "critical"
-
-
-class Estimator(NamedTuple):
-    """ESTIMATOR_STATUS: what of the autopilot's estimate is valid."""
-
-    velocity: bool
-    position: bool
-    height: bool
-    global_position: bool
 
 
 class Health(NamedTuple):
@@ -105,7 +87,7 @@ class VehicleFindings:
     intended: FlightMode | None = None
     landed: Landed | None = None
     height_m: float | None = None
-    estimator: Estimator | None = None
+    estimator: EstimatorReport | None = None
     health: Health | None = None
     charge: Charge | None = None
     battery_share: float | None = None
@@ -346,35 +328,15 @@ def _sys_status(f: VehicleFindings, m: Any) -> None:
 
 
 def _battery(f: VehicleFindings, m: Any) -> None:
-    state = m.charge_state
-    if state == mavlink.MAV_BATTERY_CHARGE_STATE_UNDEFINED:
-        f.charge = Charge.UNKNOWN
-    elif state == mavlink.MAV_BATTERY_CHARGE_STATE_LOW:
-        f.charge = Charge.LOW
-    else:
-        good = (mavlink.MAV_BATTERY_CHARGE_STATE_OK, mavlink.MAV_BATTERY_CHARGE_STATE_CHARGING)
-        f.charge = Charge.OK if state in good else Charge.CRITICAL
+    f.charge = decode.battery_status(m, 0).charge
 
 
 def _estimator(f: VehicleFindings, m: Any) -> None:
-    f.estimator = Estimator(
-        velocity=bool(m.flags & mavlink.ESTIMATOR_VELOCITY_HORIZ),
-        position=bool(m.flags & (mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS)),
-        height=bool(m.flags & (mavlink.ESTIMATOR_POS_VERT_ABS | mavlink.ESTIMATOR_POS_VERT_AGL)),
-        global_position=bool(m.flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
-    )
-
-
-_LANDED = {
-    mavlink.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
-    mavlink.MAV_LANDED_STATE_IN_AIR: Landed.IN_AIR,
-    mavlink.MAV_LANDED_STATE_TAKEOFF: Landed.TAKING_OFF,
-    mavlink.MAV_LANDED_STATE_LANDING: Landed.LANDING,
-}
+    f.estimator = decode.estimator_status(m, 0)
 
 
 def _extended_sys_state(f: VehicleFindings, m: Any) -> None:
-    f.landed = _LANDED.get(m.landed_state, Landed.UNKNOWN)
+    f.landed = decode.LANDED.get(m.landed_state, Landed.UNKNOWN)
 
 
 def _local_position(f: VehicleFindings, m: Any) -> None:

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from companion import pilot
 from companion.settings import Settings
 from companion.state import Plan, State
 from companion.types import (
     Attitude,
+    BatteryReport,
+    Charge,
+    EstimatorReport,
     Event,
     FlightMode,
     Landed,
@@ -49,6 +54,9 @@ class Script:
         self.tells_mode = True
         self.tells_heartbeat = True
         self.height_m: float | None = 3.0
+        self.battery: BatteryReport | None = BatteryReport(0, Charge.OK, 0.9)
+        self.estimator: EstimatorReport | None = EstimatorReport(0, True, True, True, True)
+        self.boot_offset_ms = 0
         self.seq = 0
 
     def run(self, seconds: float) -> Iterator[Event]:
@@ -64,8 +72,12 @@ class Script:
         if t_ms % 50 == 0 and self.tells_mode:
             yield ModeReport(t_ns, self.actual, self.intended)
             yield LandedReport(t_ns, self.landed)
+        if t_ms % 500 == 0 and self.battery is not None:
+            yield replace(self.battery, t_ns=t_ns)
+        if t_ms % 500 == 0 and self.estimator is not None:
+            yield replace(self.estimator, t_ns=t_ns)
         if t_ms % 20 == 0 and self.tells_attitude:
-            yield Attitude(t_ns, 0.0, 0.0)
+            yield Attitude(t_ns, 0.0, 0.0, t_ms + self.boot_offset_ms)
             yield LocalMotion(t_ns, 0.0, 0.0, self.height_m, 0.0, 0.0, 0.0)
         if t_ms % 50 == 10 and self.range_m is not None:
             self.seq += 1

@@ -12,8 +12,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ORDER = [
-    "types", "guidance", "settings", "beacons", "pace", "reach", "gate", "vehicle", "phase", "limits",
-    "state", "intake", "status", "pilot", "run",
+    "types", "guidance", "settings", "beacons", "pace", "reach", "gate", "vehicle", "health", "phase",
+    "limits", "state", "intake", "status", "reasons", "pilot", "run",
 ]  # fmt: skip
 """The core, each built on those before it."""
 CORE = set(ORDER)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Iterator
-from typing import Any
+from typing import NamedTuple
 
 import pytest
 from msgspec.structs import replace
 
 from companion import phase
 from companion.guidance.scheme import PROBE, REFUSE, REST, STAY, TRACK
-from companion.phase import MOVING, STREAMING, TABLE, Condition, Facts, Ranges
+from companion.phase import MOVING, STREAMING, TABLE, Company, Condition, Facts, Ranges
 from companion.types import FlightMode, Phase
 
 OFFBOARD, LOITER, LAND = FlightMode.OFFBOARD, FlightMode.AUTO_LOITER, FlightMode.AUTO_LAND
@@ -27,63 +28,88 @@ FLYING = Facts(
 ENGAGED = [p for p in Phase if p.is_engaged]
 
 
+RANGING = (
+    *((Ranges.FRESH, False, purpose) for purpose in (TRACK, REST, STAY, REFUSE)),  # PROBE moves as TRACK does
+    (Ranges.LATE, False, TRACK),
+    (Ranges.LATE, True, TRACK),
+    (Ranges.STALE, False, TRACK),
+    (Ranges.LOST, False, TRACK),
+)
+"""The bearing's certainty matters with late ranges alone, the purpose with fresh ones."""
+
+
+BUDGETS = ((False, False), (True, False), (False, True))
+"""The budget spent, the hand-over overdue."""
+
+
 def all_facts() -> Iterator[Facts]:
+    """All but a restart and a hold-up, each a condition on top; not told to be armed is as disarmed."""
     yes_no = (False, True)
-    for values in itertools.product(
-        yes_no,
-        yes_no,
-        (None, OFFBOARD, LOITER),
-        (None, OFFBOARD, LOITER),
-        (None, False, True),
-        yes_no,
-        yes_no,
-        yes_no,
-        Ranges,
-        yes_no,
-        yes_no,
-        yes_no,
-        (TRACK, REST, STAY, REFUSE),  # PROBE moves as TRACK does
+    modes = (None, OFFBOARD, LOITER)
+    for stop, gone, actual, intended, armed, grounded, was_engaged, late in itertools.product(
+        yes_no, yes_no, modes, modes, yes_no, yes_no, yes_no, yes_no
     ):
-        every: tuple[Any, ...] = (*values[:7], False, *values[7:])  # waiting matters on the ground alone
-        yield Facts(*every)
+        for (ranges, lost, purpose), (budget, overdue), company, battery, estimate in itertools.product(
+            RANGING, BUDGETS, Company, yes_no, yes_no
+        ):
+            yield Facts(
+                stop, gone, actual, intended, armed, grounded, was_engaged,
+                False,  # waiting matters on the ground alone
+                late, ranges, lost, budget, overdue, purpose, False, False, company, battery, estimate,
+            )  # fmt: skip
 
 
-def test_no_combination_of_facts_leads_to_a_speed_that_is_not_allowed() -> None:
-    for facts in all_facts():
-        for before in Phase:
-            if before.is_engaged and not facts.was_engaged:
-                continue  # the pilot sets it with the engagement
-            after, why = phase.step(before, facts)
-            assert (why is None) == (after is before)
-            if after in MOVING:
-                assert facts.actual is OFFBOARD
-                assert facts.armed
-                assert not (facts.vehicle_gone or facts.telemetry_late or facts.stop_asked)
-                assert not facts.budget_spent or before is Phase.STANDBY
-                assert facts.ranges is Ranges.FRESH or (
-                    after is Phase.COAST and facts.ranges is Ranges.LATE and not facts.bearing_lost
-                )
-            if before is Phase.ENDED:
-                assert after is Phase.ENDED
+class Outcome(NamedTuple):
+    """Which phases lead where, under the same conditions."""
+
+    to_moving: frozenset[Phase]
+    to_engaged: frozenset[Phase]
+    to_standby: frozenset[Phase]
 
 
-def test_engagement_takes_a_ready_app_that_watched_offboard_being_chosen() -> None:
-    for facts in all_facts():
-        for before in set(Phase) - set(ENGAGED) - {Phase.STANDBY}:
-            assert not phase.step(before, facts)[0].is_engaged
-        if phase.step(Phase.STANDBY, facts)[0].is_engaged:
-            assert facts.actual is OFFBOARD
-            assert facts.armed
-            assert not facts.grounded
-            assert facts.ranges is Ranges.FRESH
+@functools.cache
+def outcome(holding: tuple[Condition, ...]) -> Outcome:
+    after = {}
+    for before in Phase:
+        after[before], why = phase.decide(before, holding)
+        assert (why is None) == (after[before] is before)
+        for stop in (Condition.REBOOTED, Condition.HELD_UP):
+            stopped = phase.decide(before, (stop, *holding))[0]
+            assert stopped not in (STREAMING if before in STREAMING else MOVING)
+    assert after[Phase.ENDED] is Phase.ENDED
+    return Outcome(
+        frozenset(p for p in Phase if after[p] in MOVING),
+        frozenset(p for p in Phase if after[p].is_engaged),
+        frozenset(p for p in Phase if after[p] is Phase.STANDBY and p is not Phase.STANDBY),
+    )
 
 
-def test_standby_is_reached_only_while_another_mode_is_known_to_be_meant() -> None:
-    for facts in all_facts():
-        for before in set(Phase) - {Phase.STANDBY}:
-            if phase.step(before, facts)[0] is Phase.STANDBY:
-                assert facts.actual is not OFFBOARD
-                assert facts.intended is not OFFBOARD
+def test_no_combination_of_facts_leads_to_a_speed_or_a_stream_that_is_not_allowed() -> None:
+    """Every combination of facts, and every phase: engagement, speed and the way into standby."""
+    for f in all_facts():
+        to = outcome(tuple(phase.conditions(f)))
+        moving = to.to_moving if f.was_engaged else to.to_moving - set(ENGAGED)  # set with the engagement
+        if moving:
+            assert f.actual is OFFBOARD
+            assert f.armed
+            assert not (f.vehicle_gone or f.telemetry_late or f.stop_asked)
+            assert not (f.grounded or f.battery_low or f.estimate_invalid)
+            assert f.company is not Company.COMMANDER
+            assert f.ranges in (Ranges.FRESH, Ranges.LATE)
+            assert not (f.ranges is Ranges.LATE and f.bearing_lost)
+            assert not f.budget_spent or moving == {Phase.STANDBY}
+        if to.to_engaged - set(ENGAGED):  # a ready app that watched OFFBOARD being chosen
+            assert to.to_engaged - set(ENGAGED) == {Phase.STANDBY}
+            assert f.actual is OFFBOARD
+            assert f.armed
+            assert not f.grounded
+            assert f.ranges is Ranges.FRESH
+            assert f.company is Company.NOBODY
+        if to.to_standby:  # another mode is known to be meant, and nothing speaks against a flight
+            assert f.actual is not OFFBOARD
+            assert f.intended is not OFFBOARD
+            assert f.company is Company.NOBODY
+            assert not (f.battery_low or f.estimate_invalid)
 
 
 @pytest.mark.parametrize("before", ENGAGED)
@@ -131,6 +157,21 @@ def test_started_in_mid_air_with_offboard_meant_it_only_watches(
         (Phase.HAND_OVER, replace(FLYING, held_up=True), Phase.RELEASED),
         (Phase.STANDBY, replace(FLYING, held_up=True), Phase.AWAIT),
         (Phase.HOLD, replace(FLYING, armed=False), Phase.ENDED),
+        (Phase.APPROACH, replace(FLYING, rebooted=True, armed=False), Phase.RELEASED),
+        (Phase.HAND_OVER, replace(FLYING, rebooted=True), Phase.RELEASED),
+        (Phase.STANDBY, replace(FLYING, rebooted=True, actual=None), Phase.AWAIT),
+        (Phase.INHIBITED, replace(FLYING, rebooted=True, actual=None), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLYING, grounded=True), Phase.HAND_OVER),
+        (Phase.STALL, replace(FLYING, battery_low=True), Phase.HAND_OVER),
+        (Phase.STANDBY, replace(FLYING, battery_low=True, was_engaged=False), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLYING, company=Company.COMMANDER), Phase.HAND_OVER),
+        (Phase.STANDBY, replace(FLYING, company=Company.COMMANDER, actual=LOITER), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLYING, company=Company.OTHER_VEHICLE), Phase.APPROACH),
+        (Phase.STANDBY, replace(FLYING, company=Company.OTHER_VEHICLE, actual=LOITER), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLYING, estimate_invalid=True), Phase.STALL),
+        (Phase.STALL, replace(FLYING, estimate_invalid=True), Phase.STALL),
+        (Phase.STALL, replace(FLYING, estimate_invalid=True, ranges=Ranges.LOST), Phase.HAND_OVER),
+        (Phase.STANDBY, replace(FLYING, estimate_invalid=True, actual=LOITER), Phase.AWAIT),
         (Phase.HAND_OVER, replace(FLYING, hand_over_overdue=True), Phase.RELEASED),
         (Phase.HAND_OVER, replace(FLYING, actual=LAND), Phase.RELEASED),
         (Phase.ACQUIRE, FLYING, Phase.APPROACH),
@@ -159,6 +200,20 @@ def test_held_up_it_does_not_steer_whatever_it_still_believes(before: Phase) -> 
             FLYING, held_up=True, stop_asked=stop, budget_spent=spent, telemetry_late=late, ranges=ranges
         )
         assert phase.step(before, believed)[0] not in STREAMING
+@pytest.mark.parametrize(
+    ("facts", "condition"),
+    [
+        (replace(FLYING, rebooted=True, armed=False, actual=None), Condition.REBOOTED),
+        (replace(FLYING, vehicle_gone=True, company=Company.OTHER_VEHICLE), Condition.VEHICLE_CHANGED),
+        (replace(FLYING, vehicle_gone=True), Condition.VEHICLE_GONE),
+        (replace(FLYING, company=Company.COMMANDER, budget_spent=True), Condition.SECOND_COMMANDER),
+        (replace(FLYING, grounded=True, battery_low=True), Condition.LANDED),
+        (replace(FLYING, battery_low=True, budget_spent=True), Condition.BATTERY_LOW),
+        (replace(FLYING, estimate_invalid=True, telemetry_late=True), Condition.ESTIMATE_INVALID),
+    ],
+)
+def test_what_happens_to_the_vehicle_has_its_own_name(facts: Facts, condition: Condition) -> None:
+    assert phase.step(Phase.APPROACH, facts)[1] is condition
 
 
 def test_every_phase_has_a_row() -> None:

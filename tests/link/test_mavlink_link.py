@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.link.mavlink import VehicleLink, heading_from_yaw, px4_mode, setpoint_message
+from companion.link.decode import heading_from_yaw
+from companion.link.mavlink import VehicleLink, setpoint_message
+from companion.link.modes import px4_mode
 from companion.link.transport import open_transport, parse_url
 from companion.settings import VehicleSettings
 from companion.types import (

@@ -6,19 +6,31 @@ import json
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from companion.check import vehicle as vehicles
 from companion.check.ranges import RangeFindings
 from companion.check.ranges import judge as judge_ranges
 from companion.check.report import CheckReport, Part, Row, State, text
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
-from companion.link.survey import Charge, Estimator, Health, Other, VehicleFindings
+from companion.link.survey import Health, Other, VehicleFindings
 from companion.settings import BeaconSettings, MissionSettings, Settings, VehicleSettings
-from companion.types import BeaconTold, Defect, Event, FlightMode, Landed, LineOfSight, Malformed, RangeSample
+from companion.types import (
+    BeaconTold,
+    Charge,
+    Defect,
+    EstimatorReport,
+    Event,
+    FlightMode,
+    Landed,
+    LineOfSight,
+    Malformed,
+    RangeSample,
+)
 
 SETTINGS = Settings()
-GPS = Estimator(velocity=True, position=True, height=True, global_position=True)
-NO_GPS = GPS._replace(global_position=False)
+GPS = EstimatorReport(0, velocity=True, position=True, height=True, global_position=True)
+NO_GPS = replace(GPS, global_position=False)
 WELL = Health(may_arm=True, unhealthy=(), remote_control=True)
 NO_RC = WELL._replace(remote_control=False)
 
@@ -116,12 +128,12 @@ BODY = Settings(vehicle=VehicleSettings(setpoint_frame="body_ned"))
         ({"charge": None, "battery_share": None, "battery_v": None}, "battery", State.WARN, "within 5.0 s"),
         ({"estimator": None}, "ESTIMATOR_STATUS", State.WARN, "never came within 5.0 s"),
         (
-            {"estimator": GPS._replace(velocity=False)},
+            {"estimator": replace(GPS, velocity=False)},
             "velocity",
             State.FAIL,
             "no offboard signal",
         ),
-        ({"estimator": GPS._replace(height=False)}, "local position", State.FAIL, "body_ned"),
+        ({"estimator": replace(GPS, height=False)}, "local position", State.FAIL, "body_ned"),
         ({"estimator": NO_GPS}, "global position", State.WARN, "COM_OBL_RC_ACT = 4 (Land)"),
         ({"estimator": NO_GPS}, "COM_OBL_RC_ACT", State.WARN, "lands instead"),
         ({"rates_hz": {}}, "ATTITUDE", State.FAIL, "never came"),
@@ -173,7 +185,7 @@ def test_parameters(name: str, value: float | None, health: Health, state: State
 
 
 def test_with_body_ned_no_position_is_needed() -> None:
-    found = healthy(estimator=Estimator(True, False, False, False), rates_hz={"ATTITUDE": 50.0})
+    found = healthy(estimator=EstimatorReport(0, True, False, False, False), rates_hz={"ATTITUDE": 50.0})
     rows = judged(found, BODY)
     assert row(rows, "local position").state is State.OK
     assert row(rows, "LOCAL_POSITION_NED").state is State.WARN

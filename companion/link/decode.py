@@ -1,0 +1,153 @@
+"""MAVLink telemetry → events, one function a message. The NED signs of what comes in live here.
+
+MAVLink's local frame is x North, y East, z down, yaw clockwise from North; ours is x East, y North, height
+up, heading counter-clockwise from East (see `companion.types`). A decoder returns None for a message whose
+numbers cannot be used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import development as mavlink
+
+from companion.link.modes import px4_mode
+from companion.link.px4_events import event_words
+from companion.types import (
+    Attitude,
+    AutopilotWords,
+    BatteryReport,
+    Charge,
+    EstimatorReport,
+    Event,
+    FlightMode,
+    Landed,
+    LandedReport,
+    LocalMotion,
+    ModeReport,
+    VehicleHeartbeat,
+)
+
+Decoder = Callable[[Any, int], Event | None]
+
+LANDED = {
+    mavlink.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
+    mavlink.MAV_LANDED_STATE_IN_AIR: Landed.IN_AIR,
+    mavlink.MAV_LANDED_STATE_TAKEOFF: Landed.TAKING_OFF,
+    mavlink.MAV_LANDED_STATE_LANDING: Landed.LANDING,
+}
+_LONGEST_WORDS = 120
+
+
+def heading_from_yaw(yaw_ned_rad: float) -> float:
+    """NED yaw (clockwise from North) → heading (counter-clockwise from East), in (−π, π]. Its own inverse."""
+    heading = math.pi / 2.0 - yaw_ned_rad
+    wrapped = math.remainder(heading, 2.0 * math.pi)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+def heartbeat(m: Any, t_ns: int) -> Event | None:
+    """HEARTBEAT."""
+    mode = px4_mode(m.custom_mode) if m.autopilot == mavlink.MAV_AUTOPILOT_PX4 else FlightMode.OTHER
+    armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    return VehicleHeartbeat(t_ns=t_ns, system_id=m.get_srcSystem(), mode=mode, armed=armed)
+
+
+def current_mode(m: Any, t_ns: int) -> Event | None:
+    """CURRENT_MODE; an intended mode of 0 is not told."""
+    intended = px4_mode(m.intended_custom_mode) if m.intended_custom_mode else None
+    return ModeReport(t_ns=t_ns, actual=px4_mode(m.custom_mode), intended=intended)
+
+
+def extended_sys_state(m: Any, t_ns: int) -> Event | None:
+    """EXTENDED_SYS_STATE."""
+    return LandedReport(t_ns=t_ns, landed=LANDED.get(m.landed_state, Landed.UNKNOWN))
+
+
+def attitude(m: Any, t_ns: int) -> Event | None:
+    """ATTITUDE."""
+    if not (math.isfinite(m.yaw) and math.isfinite(m.yawspeed)):
+        return None
+    return Attitude(
+        t_ns=t_ns,
+        heading_rad=heading_from_yaw(m.yaw),
+        yaw_rate_rad_s=-m.yawspeed,
+        boot_ms=m.time_boot_ms,
+    )
+
+
+def local_position(m: Any, t_ns: int) -> Event | None:
+    """LOCAL_POSITION_NED."""
+    if not (math.isfinite(m.vx) and math.isfinite(m.vy)):
+        return None
+    return LocalMotion(
+        t_ns=t_ns,
+        x_m=m.y if math.isfinite(m.y) else None,
+        y_m=m.x if math.isfinite(m.x) else None,
+        height_m=-m.z if math.isfinite(m.z) else None,
+        vx_m_s=m.vy,
+        vy_m_s=m.vx,
+        climb_m_s=-m.vz if math.isfinite(m.vz) else 0.0,
+        boot_ms=m.time_boot_ms,
+    )
+
+
+def sys_status(m: Any, t_ns: int) -> Event | None:
+    """SYS_STATUS: the share of the battery that is left, where it is known."""
+    share = m.battery_remaining / 100.0 if m.battery_remaining >= 0 else None
+    return BatteryReport(t_ns=t_ns, share=share)
+
+
+_CHARGE = {
+    mavlink.MAV_BATTERY_CHARGE_STATE_UNDEFINED: Charge.UNKNOWN,
+    mavlink.MAV_BATTERY_CHARGE_STATE_OK: Charge.OK,
+    mavlink.MAV_BATTERY_CHARGE_STATE_CHARGING: Charge.OK,
+    mavlink.MAV_BATTERY_CHARGE_STATE_LOW: Charge.LOW,
+}
+
+
+def battery_status(m: Any, t_ns: int) -> BatteryReport:
+    """BATTERY_STATUS: the autopilot's own judgement; what is worse than low is critical."""
+    share = m.battery_remaining / 100.0 if m.battery_remaining >= 0 else None
+    return BatteryReport(t_ns=t_ns, charge=_CHARGE.get(m.charge_state, Charge.CRITICAL), share=share)
+
+
+def estimator_status(m: Any, t_ns: int) -> EstimatorReport:
+    """ESTIMATOR_STATUS, or ArduPilot's EKF_STATUS_REPORT: the flags that are read have the same bits."""
+    return EstimatorReport(
+        t_ns=t_ns,
+        velocity=bool(m.flags & mavlink.ESTIMATOR_VELOCITY_HORIZ),
+        position=bool(m.flags & (mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS)),
+        height=bool(m.flags & (mavlink.ESTIMATOR_POS_VERT_ABS | mavlink.ESTIMATOR_POS_VERT_AGL)),
+        global_position=bool(m.flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
+    )
+
+
+def statustext(m: Any, t_ns: int) -> Event | None:
+    """STATUSTEXT: what the autopilot says to people."""
+    text = "".join(c if c.isprintable() else " " for c in str(m.text)).strip()
+    return AutopilotWords(t_ns=t_ns, text=text[:_LONGEST_WORDS]) if text else None
+
+
+def event(m: Any, t_ns: int) -> Event | None:
+    """EVENT: PX4's words for a companion, where they are known."""
+    text = event_words(m.id, bytes(m.arguments))
+    return AutopilotWords(t_ns=t_ns, text=text) if text else None
+
+
+DECODERS: dict[str, Decoder] = {
+    "HEARTBEAT": heartbeat,
+    "CURRENT_MODE": current_mode,
+    "EXTENDED_SYS_STATE": extended_sys_state,
+    "ATTITUDE": attitude,
+    "LOCAL_POSITION_NED": local_position,
+    "SYS_STATUS": sys_status,
+    "BATTERY_STATUS": battery_status,
+    "ESTIMATOR_STATUS": estimator_status,
+}
+"""What must have usable numbers: None from these is a malformed message."""
+
+WORDS: dict[str, Decoder] = {"STATUSTEXT": statustext, "EVENT": event}
+"""What may have nothing to say."""
