@@ -200,6 +200,8 @@ def test_held_up_it_does_not_steer_whatever_it_still_believes(before: Phase) -> 
             FLYING, held_up=True, stop_asked=stop, budget_spent=spent, telemetry_late=late, ranges=ranges
         )
         assert phase.step(before, believed)[0] not in STREAMING
+
+
 @pytest.mark.parametrize(
     ("facts", "condition"),
     [
