@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from companion import cli_publish, cli_watch, commands
+from companion import cli_keys, cli_publish, cli_watch, commands
 from companion.exits import MEANING, Exit
 
 if TYPE_CHECKING:
@@ -204,6 +204,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     cli_publish.options(publish)
 
+    keys = _command(
+        verbs,
+        "keys",
+        commands.keys,
+        "make the certificates of a site, and its router's configuration",
+        cli_keys.EXAMPLES,
+        _EXITS,
+    )
+    cli_keys.options(keys)
+
     design = _command(
         verbs,
         "design",
@@ -296,6 +306,7 @@ def _zenoh_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         help="listen here for beacons; overrides ranges.listen; may be repeated",
     )
+    parser.add_argument("--tls", metavar="DIR", help="certificates of `companion keys`; overrides ranges.tls")
 
 
 class _Version(argparse.Action):

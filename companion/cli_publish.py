@@ -50,6 +50,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--msgpack", action="store_true", help="MessagePack instead of JSON")
     where.add_argument("--zenoh-connect", metavar="ENDPOINT", action="append", default=[])
     where.add_argument("--zenoh-listen", metavar="ENDPOINT", action="append", default=[])
+    where.add_argument("--tls", metavar="DIR", default="", help="certificates of `companion keys`")
     where.add_argument("--save", metavar="FILE", type=Path, help="keep what was measured, as JSON lines")
 
     about = parser.add_argument_group("what the beacon tells of itself (queryable .../info)")
@@ -95,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
         seconds=args.seconds,
         connect=tuple(args.zenoh_connect),
         listen=tuple(args.zenoh_listen),
+        tls=args.tls,
         strict=args.strict,
     )
     return {
@@ -128,6 +130,7 @@ def publication(args: argparse.Namespace) -> Publication:
         encoding=wire_range.MSGPACK if args.msgpack else wire_range.JSON,
         connect=tuple(args.zenoh_connect),
         listen=tuple(args.zenoh_listen),
+        tls=args.tls,
         save=args.save,
     )
 

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from companion import cli_publish, cli_watch
+from companion import cli_keys, cli_publish, cli_watch
 from companion.exits import Exit
 
 if TYPE_CHECKING:
@@ -73,6 +73,8 @@ def _link_overrides(args: argparse.Namespace) -> list[str]:
         overrides.append(f"ranges.connect={json.dumps(args.zenoh_connect)}")
     if args.zenoh_listen:
         overrides.append(f"ranges.listen={json.dumps(args.zenoh_listen)}")
+    if args.tls:
+        overrides.append(f"ranges.tls={json.dumps(args.tls)}")
     return overrides
 
 
@@ -240,6 +242,14 @@ def publish(args: argparse.Namespace) -> int:
     """Put ranges on Zenoh, or check who does."""
     try:
         return cli_publish.run(args)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def keys(args: argparse.Namespace) -> int:
+    """Make, show or check the certificates of a site."""
+    try:
+        return cli_keys.run(args)
     except ValueError as error:
         raise UsageError(str(error)) from error
 

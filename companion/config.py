@@ -19,8 +19,9 @@ import msgspec
 from msgspec import inspect
 
 from companion.guidance.station_settings import BEACONS_NEEDED
+from companion.link import credentials
 from companion.link.transport import parse_url
-from companion.settings import Settings
+from companion.settings import NAME_RULE, Settings, is_name
 from sitl_mock.scenario import Scenario
 
 ENVIRONMENT_PREFIX = "COMPANION_"
@@ -94,6 +95,8 @@ def contradictions(c: Settings) -> list[str]:
         parse_url(c.vehicle.mavlink)
     except ValueError as error:
         problems.append(f"vehicle.mavlink = {error}")
+    problems += credentials.contradictions(c.ranges)
+    problems += [f"beacons.{b}: {NAME_RULE}" for b in c.beacons if not is_name(b)]
     if bool(c.vehicle.signing_key_file) != bool(c.vehicle.signing_state_file):
         problems.append("vehicle.signing_key_file and vehicle.signing_state_file: either both or none")
     problems += [

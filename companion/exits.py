@@ -29,7 +29,7 @@ MEANING = {
     Exit.LINK: "a port or endpoint could not be opened",
     Exit.NOT_READY: "check: not ready to fly",
     Exit.DIFFERENT: "replay: other outputs than recorded",
-    Exit.FAULTY: "publish --check: something is wrong with the publisher",
+    Exit.FAULTY: "publish --check, keys: something is wrong with the publisher, certificates or rules",
     Exit.INTERRUPTED: "interrupted before a capture",
 }
 """One line each, for `--help`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -50,6 +51,7 @@ def fly(
             stack.callback(vehicle.close)
             ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
             stack.callback(ranges.close)
+            network = NetworkWatch(ranges, view.tell)
             status = StatusLink(settings, lambda: ranges.session, view.tell)
             stack.callback(status.close)
             for number in (signal.SIGINT, signal.SIGTERM):
@@ -60,6 +62,7 @@ def fly(
                 systemd.send(output)
                 status.send(output)
                 if isinstance(output, Status):
+                    network.look(output)
                     view.show(output)
                     log.add(output)
                 elif isinstance(output, PhaseChange):
@@ -81,6 +84,29 @@ def fly(
     print(f"record: {recorder.problem or recorder.name}")
     _write(flight, json_file, png_file)
     return exit_status(final, log)
+
+
+class NetworkWatch:
+    """Says while something is awaited whether anybody is connected: Zenoh itself keeps trying in silence."""
+
+    def __init__(self, ranges: RangeLink, tell: Callable[[str], None]) -> None:
+        self._ranges, self._tell = ranges, tell
+        self._told: str | None = None
+        self._looks = 0
+
+    def look(self, status: Status) -> None:
+        """Tell a person when it has changed. Not asked for in flight: there the ranges' age says it."""
+        if not any(words.startswith("ranges") for words in status.awaited):
+            return
+        self._looks += 1
+        if self._looks == 1:
+            return  # it has only just begun
+        found = "Zenoh: connected, and no range yet"
+        if not self._ranges.connected():
+            found = f"Zenoh: connected to nobody; it keeps trying. {self._ranges.reason}".strip()
+        if found != self._told:
+            self._told = found
+            self._tell(found)
 
 
 def exit_status(final: State, log: FlightLog) -> Exit:

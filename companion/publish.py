@@ -25,7 +25,7 @@ from companion import wire_range
 from companion.exits import Exit
 from companion.link.zenoh_publish import Ear, Heard, PublishLink
 from companion.link.zenoh_session import words
-from companion.settings import Name, RangesSettings
+from companion.settings import NAME_RULE, RangesSettings, is_name
 from companion.uwb import info as beacon_info
 from companion.uwb.check import Finding, KeyReport, Level, judge, judge_beacon
 from companion.uwb.families import Family, open_parser
@@ -66,6 +66,8 @@ class Publication:
     encoding: str = wire_range.JSON
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
+    tls: str = ""
+    """Directory of `companion keys`; empty: in the clear."""
     save: Path | None = None
     """Keep what the module measured, as JSON lines that can be published again at their pace."""
 
@@ -108,10 +110,9 @@ def _check_source(source: Source) -> None:
 
 def _name(text: str) -> str:
     """The same text. Raises ValueError where it cannot be part of a key."""
-    try:
-        return msgspec.convert(text, Name)
-    except msgspec.ValidationError:
-        raise ValueError(f"{text[:80]!r}: letters, digits, `_`, `.`, `-`, at most 64 of them") from None
+    if not is_name(text):
+        raise ValueError(f"{text[:80]!r}: {NAME_RULE}")
+    return text
 
 
 class Tally:
@@ -231,7 +232,7 @@ def publish(publication: Publication, say: _Say, stop: Event | None = None) -> E
         with ExitStack() as stack:
             if stop is None:
                 stop = _until_signal(stack)
-            link = PublishLink(RangesSettings(p.site, p.tag, p.connect, p.listen), p.encoding)
+            link = PublishLink(RangesSettings(p.site, p.tag, p.connect, p.listen, tls=p.tls), p.encoding)
             stack.callback(link.close)
             save = stack.enter_context(p.save.open("wb")) if p.save is not None else None
             sender = Sender(p, link.announce, link.put)
@@ -322,6 +323,7 @@ def check(
     seconds: float = 5.0,
     connect: tuple[str, ...] = (),
     listen: tuple[str, ...] = (),
+    tls: str = "",
     strict: bool = False,
     patience_s: float = 10.0,
 ) -> CheckReport:
@@ -338,7 +340,7 @@ def check(
     if not connect and not listen:
         raise ValueError("nowhere to listen: name an endpoint to connect to or to listen on")
     try:
-        ear = Ear(RangesSettings(connect=connect, listen=listen), key)
+        ear = Ear(RangesSettings(connect=connect, listen=listen, tls=tls), key)
     except zenoh.ZError as error:
         say(f"wrong: not connected: {words(error)}")
         return CheckReport(Verdict.NOT_CONNECTED, [], {})

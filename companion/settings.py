@@ -19,6 +19,16 @@ NonNegative = Annotated[float, Meta(ge=0.0)]
 Finite = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Endpoint = Annotated[str, Meta(pattern=r"^[a-z0-9\-]+/[^/].*$")]
 Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.\-]+$")]
+NAME_RULE = "a name is letters, digits, `_`, `.`, `-`, at most 64 of them"
+
+
+def is_name(text: str) -> bool:
+    """True where this can be a part of a Zenoh key."""
+    try:
+        msgspec.convert(text, Name)
+    except msgspec.ValidationError:
+        return False
+    return True
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -189,6 +199,15 @@ class RangesSettings(Table, frozen=True):
             description="More ranges a second of one beacon are a flood: dropped unread, the newest kept.",
         ),
     ] = 100.0
+    tls: Annotated[
+        str,
+        Meta(
+            description=(
+                "Directory of `companion keys` for this vehicle: endpoints are then `tls/…`, and both sides "
+                "show certificates. Empty: in the clear."
+            )
+        ),
+    ] = ""
     max_age_s: Annotated[
         float,
         Meta(

@@ -6,11 +6,13 @@ import selectors
 import time
 from contextlib import ExitStack
 
+from companion.check import credentials
 from companion.check import ranges as ranging
 from companion.check import vehicle as vehicles
 from companion.check.ranges import RangeFindings
 from companion.check.report import CheckReport, Part, Row, State, text
 from companion.config import contradictions
+from companion.link.credentials import CredentialsError
 from companion.link.signing import SignedMavlink, SigningError
 from companion.link.survey import VehicleSurvey, open_ranges
 from companion.link.zenoh_ranges import RangeLink
@@ -48,6 +50,9 @@ def check(settings: Settings, patience_s: float) -> CheckReport:
             stack.callback(ranges.close)
         except OSError as error:
             rows.append(_no_zenoh(error))
+        except CredentialsError:
+            pass  # its own row says it
+        rows += credentials.judge(settings)
         heard = RangeFindings(settings)
         start_ns = time.monotonic_ns()
         try:

@@ -159,7 +159,8 @@ def _zenoh(settings: Settings, connected: int) -> Row:
         State.FAIL,
         f"connected to nobody ({where or 'no endpoint configured'})",
         "Zenoh says nothing of a wrong endpoint: it keeps trying, and no range ever comes.",
-        "start the router or the beacons; check ranges.connect (protocol, address, port) and ranges.listen",
+        "start the router or the beacons; check ranges.connect (protocol, address, port) and ranges.listen"
+        + ("; the router's certificate must be of the same site and name this address" if r.tls else ""),
     )
 
 
@@ -185,7 +186,8 @@ def _not_heard(settings: Settings, beacon: str, found: RangeFindings, watched_s:
         State.FAIL if why else State.WARN,
         f"no range on {key} within {watched_s:.1f} s",
         why,
-        "is the beacon on, in reach, and published under this site, id and tag?",
+        "is the beacon on, in reach, and published under this site, id and tag?"
+        + (" And do the router's rules let both in: `companion keys --check` there" if r.tls else ""),
     )
 
 

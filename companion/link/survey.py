@@ -261,7 +261,10 @@ class VehicleSurvey:
 
 
 def open_ranges(settings: RangesSettings, wake: Callable[[], None]) -> RangeLink:
-    """Subscribe to the ranges. Raises OSError where an endpoint is malformed or cannot be listened on."""
+    """Subscribe to all ranges of the site.
+
+    Raises OSError where an endpoint is malformed or cannot be listened on, and CredentialsError.
+    """
     try:
         return RangeLink(settings, wake)
     except zenoh.ZError as error:

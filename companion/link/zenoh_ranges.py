@@ -97,7 +97,11 @@ class RangeLink:
     def __init__(
         self, settings: RangesSettings, wake: Callable[[], None], beacons: Iterable[str] = ("*",)
     ) -> None:
-        """Open the session. Raises zenoh.ZError where an endpoint is malformed or cannot be listened on."""
+        """Open the session.
+
+        Raises zenoh.ZError where an endpoint is malformed or cannot be listened on, or an id cannot be part of
+        a key; CredentialsError where `ranges.tls` lets nobody in.
+        """
         self._settings = settings
         self._wake = wake
         self._doors: list[Door] = []
@@ -164,6 +168,11 @@ class RangeLink:
     def session(self) -> zenoh.Session | None:
         """The session, once it is open: what else leaves on Zenoh leaves by it."""
         return self._opener.session
+
+    @property
+    def reason(self) -> str:
+        """Why there is no session yet."""
+        return self._opener.reason
 
     def connected(self) -> int:
         """How many routers and peers there are. None at all is silent in Zenoh, and worth telling."""

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from threading import Event, Thread
 
 import zenoh
 
+from companion.link import credentials
 from companion.settings import RangesSettings
 
 _RETRY_S = 0.1
+_TLS_HINT = (
+    "(nobody is there, or one does not accept the other: the router's certificate must be of the same site "
+    "and name this address; Zenoh does not say which)"
+)
 
 
 def is_client(settings: RangesSettings) -> bool:
@@ -26,9 +32,10 @@ def zenoh_config(settings: RangesSettings) -> zenoh.Config:
     """An explicit configuration: nothing listens, connects or scouts that is not named in it.
 
     A peer's endpoints that do not answer yet are tried again for ever, 0.1 to 0.5 s apart.
+    Raises CredentialsError where `ranges.tls` and the endpoints let nobody in, or everybody.
     """
     client = is_client(settings)
-    config = {
+    config: dict[str, object] = {
         "mode": "client" if client else "peer",
         "connect": {
             "endpoints": list(settings.connect),
@@ -43,6 +50,11 @@ def zenoh_config(settings: RangesSettings) -> zenoh.Config:
             "gossip": {"enabled": settings.multicast_scouting},
         },
     }
+    if problems := credentials.contradictions(settings):
+        raise credentials.CredentialsError("; ".join(problems))
+    if settings.tls:
+        tls = credentials.tls_config(credentials.read(Path(settings.tls)))
+        config["transport"] = {"link": {"tls": tls}}
     return zenoh.Config.from_json5(json.dumps(config))
 
 
@@ -63,11 +75,12 @@ class Opener:
     """
 
     def __init__(self, settings: RangesSettings, opened: Callable[[zenoh.Session], None]) -> None:
-        """Raises zenoh.ZError where a peer's endpoint is malformed or cannot be listened on."""
+        """Raises CredentialsError; zenoh.ZError where a peer's endpoint is malformed or cannot be used."""
         self.session: zenoh.Session | None = None
         self.reason = ""
         """Why there is no session yet."""
         self._config = zenoh_config(settings)
+        self._hint = _TLS_HINT if settings.tls else ""
         self._opened = opened
         self._closing = Event()
         self._thread: Thread | None = None
@@ -84,7 +97,7 @@ class Opener:
             try:
                 session = zenoh.open(self._config)
             except zenoh.ZError as error:
-                self.reason = words(error)
+                self.reason = f"{words(error)} {self._hint}".strip()
                 self._closing.wait(_RETRY_S)
                 continue
             self.session = session

@@ -22,8 +22,10 @@ EDGES = {
     "link", "live", "view", "summary", "wire_range", "wire_status", "record", "recording", "replay",
     "foxglove", "uwb",
 }  # fmt: skip
-DESK = {"operator", "ground", "picture", "demo", "goal", "bench", "simulate", "publish", "check", "watch"}
-TOP = {"cli", "cli_publish", "cli_watch", "commands", "fly", "config", "exits", "__main__"} | DESK
+DESK = {
+    "operator", "ground", "picture", "demo", "goal", "bench", "simulate", "publish", "check", "watch", "keys",
+}  # fmt: skip
+TOP = {"cli", "cli_publish", "cli_watch", "cli_keys", "commands", "fly", "config", "exits", "__main__"} | DESK
 
 
 def imported(path: Path) -> set[str]:
@@ -91,7 +93,7 @@ def test_the_mock_is_independent_of_the_app() -> None:
 
 
 def test_only_the_links_speak_mavlink_and_zenoh() -> None:
-    desk = {"operator", "ground", "demo", "bench", "publish", "uwb", "fly"}
+    desk = {"operator", "ground", "demo", "bench", "publish", "uwb", "fly", "keys"}
     for path in files("companion"):
         roots = {module.split(".")[0] for module in imported(path)}
         if name_of(path) not in {"link"} | desk:
