@@ -57,6 +57,13 @@ def test_every_command_runs(command: str, tmp_path: Path) -> None:
     elif words[1] == "fly":
         words += ["--set", "loss.wait_s=1", "--record", str(tmp_path / "flight.mcap")]
         assert run(words) == Exit.NO_VEHICLE
+    elif words[1] == "keys":
+        words = [w.replace("lab-keys", str(tmp_path / "keys")) for w in words]
+        if "--site" not in words:
+            assert (
+                run([*words[:2], str(tmp_path / "keys"), "--site", "lab", "--router", "127.0.0.1"]) == Exit.OK
+            )
+        assert run(words) == Exit.OK
     elif words[1] == "check":
         assert run([*words, "--patience", "1"]) == Exit.NOT_READY
     elif words[1] == "watch":

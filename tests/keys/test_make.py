@@ -11,10 +11,15 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from companion.check.credentials import judge
+from companion.check.report import State
+from companion.config import load
 from companion.exits import Exit
 from companion.keys import site
 from companion.keys.certificates import Role
+from companion.keys.router import Site, router_config
 from companion.link import credentials
+from companion.settings import RangesSettings, Settings, StatusSettings
 from tests.keys.site import NOW, keys, make
 
 Say = pytest.CaptureFixture[str]
@@ -182,3 +187,52 @@ def test_a_new_site_must_be_named_and_a_stranger_directory_is_left_alone(tmp_pat
     assert keys(tmp_path, "--beacon", "b1") == Exit.USAGE
     assert "--site NAME --router HOST" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+SPECIMEN = Path(__file__).parents[2] / "config/secure/router.json5"
+
+
+def specimen() -> str:
+    members = ((Role.ROUTER, "lab"), (Role.BEACON, "b1"), (Role.VEHICLE, "uav1"), (Role.WATCHER, "desk"))
+    return router_config(Site("lab", members), 7447)
+
+
+def test_the_specimen_is_what_is_made() -> None:
+    assert SPECIMEN.read_text(encoding="utf-8") == specimen()
+
+
+def test_the_secure_configuration_goes_together() -> None:
+    loaded = load(SPECIMEN.parent / "capture.toml", {})
+    assert loaded.config.ranges.tls
+
+
+# ------------------------------------------------------------------------------- in `companion check`
+
+
+def rows(tls: Path, uav: str = "u1") -> list[tuple[State, str]]:
+    ranges = RangesSettings(connect=("tls/127.0.0.1:7447",), tls=str(tls))
+    settings = Settings(ranges=ranges, status=StatusSettings(uav=uav))
+    return [(row.state, row.found) for row in judge(settings)]
+
+
+def test_check_shows_the_certificate_and_warns_of_its_end(place: Path) -> None:
+    ((state, found),) = rows(place / "vehicle-u1")
+    assert state is State.OK
+    assert found.startswith("vehicle/u1, until ")
+    assert keys(place, "--renew", "vehicle/u1", "--days", "10") == Exit.OK
+    ((state, found),) = rows(place / "vehicle-u1")
+    assert state is State.WARN
+
+
+@pytest.mark.parametrize(
+    ("who", "uav", "state", "words"),
+    [
+        ("vehicle-u1", "uav1", State.WARN, "status.uav = 'uav1'"),
+        ("beacon-b1", "u1", State.WARN, "is no vehicle's but beacon/b1"),
+        ("gone", "u1", State.FAIL, "ca.pem"),
+    ],
+)
+def test_check_tells_a_certificate_that_is_not_this_vehicles(
+    place: Path, who: str, uav: str, state: State, words: str
+) -> None:
+    assert any(s is state and words in found for s, found in rows(place / who, uav))
