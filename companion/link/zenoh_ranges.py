@@ -99,8 +99,8 @@ class RangeLink:
     ) -> None:
         """Open the session.
 
-        Raises zenoh.ZError where an endpoint is malformed or cannot be listened on, or an id cannot be part of
-        a key; CredentialsError where `ranges.tls` lets nobody in.
+        Raises zenoh.ZError where an endpoint is malformed or cannot be listened on, or an id cannot be part
+        of a key; CredentialsError where `ranges.tls` lets nobody in.
         """
         self._settings = settings
         self._wake = wake
