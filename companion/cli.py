@@ -96,6 +96,27 @@ def _parser() -> argparse.ArgumentParser:
     _config_options(replay)
     replay.add_argument("--json", action="store_true", help="print one JSON object")
 
+    report = _command(
+        verbs,
+        "report",
+        commands.report,
+        "a recorded flight as one page with map and plots that works offline, and as figures",
+        "companion report flights/2026-11-22T10-15-00Z.mcap          # writes ….html beside it\n"
+        "  companion report FLIGHT.mcap -o flight.html --png flight.png\n"
+        "  companion report FLIGHT.mcap --json | jq .summary.path_ratio",
+        _EXITS,
+    )
+    report.add_argument("file", metavar="FLIGHT.mcap", type=Path)
+    report.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE",
+        type=Path,
+        help="the page, or a directory for it (default: beside the flight, ending in .html)",
+    )
+    report.add_argument("--png", metavar="FILE", type=Path, help="draw a still picture too")
+    report.add_argument("--json", action="store_true", help="print the figures as one JSON object")
+
     check = _command(
         verbs,
         "check",

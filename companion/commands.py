@@ -64,6 +64,39 @@ def replay(args: argparse.Namespace) -> int:
     return Exit.OK if result.equal or settings is not None else Exit.DIFFERENT
 
 
+def report(args: argparse.Namespace) -> int:
+    """A recorded flight as one page."""
+    import msgspec
+
+    from companion.picture import PictureError, draw_flight
+    from companion.recording import RecordError, read
+    from companion.report.page import PageError, write
+
+    page = args.output or args.file.with_suffix(".html")
+    if page.is_dir():
+        page = page / args.file.with_suffix(".html").name
+    if page.exists() and args.file.exists() and page.samefile(args.file):
+        raise UsageError(f"{page}: the page would overwrite the flight; name another file with -o")
+    try:
+        flight = write(page, read(args.file))
+    except (RecordError, PageError) as error:
+        raise UsageError(str(error)) from error
+    except OSError as error:
+        raise UsageError(f"{page}: {error.strerror or error}") from error
+    print(msgspec.json.encode(flight.figures).decode() if args.json else flight.figures.text())
+    if not args.json:
+        print(f"page: {page}")
+    if args.png is not None:
+        try:
+            draw_flight(args.png, flight.told, title=flight.figures.headline)
+            if not args.json:
+                print(f"picture: {args.png}")
+        except (PictureError, OSError) as error:
+            print(f"companion: no picture: {error}", file=sys.stderr)
+            return Exit.USAGE
+    return Exit.OK
+
+
 def _link_overrides(args: argparse.Namespace) -> list[str]:
     """`--set`, then the options of the two links."""
     overrides = list(args.set)

@@ -26,6 +26,8 @@ from companion.config import Config, load
 from companion.exits import Exit
 from companion.goal import true_goal
 from companion.picture import PictureError, Truth, draw_flight, headline
+from companion.recording import RecordError, read
+from companion.report.page import PageError, write
 from companion.summary import FlightReport, Pose, Problem, shortest_from_m, text
 from companion.types import FlightMode, PhaseChange, Status
 from companion.view import View, ViewKind, open_view
@@ -80,7 +82,8 @@ def demo(
     """Fly the demo; OK only if the companion says captured and the truth agrees.
 
     Without a file the flight of the paper's Section VII is flown, with noisy ranges, dropouts and outliers.
-    `out` is the directory for summary, picture and truth, by default a new one under `flights/`.
+    `out` is the directory for record, summary, picture, report and truth: by default a new one under
+    `flights/`.
 
     Raises `companion.config.ConfigError` where the configuration cannot be used.
     """
@@ -300,7 +303,7 @@ def in_offboard(rows: Sequence[TruthRow]) -> list[TruthRow]:
 def _tell(
     target: tuple[float, float], beacons: Sequence[tuple[float, float]], out: Path, stream: IO[str]
 ) -> Exit:
-    """The summary, the picture and the exit status."""
+    """The summary, the picture, the report and the exit status."""
     try:
         flight = msgspec.json.decode((out / "flight.json").read_bytes(), type=FlightReport)
         truth_lines = (out / "truth.jsonl").read_bytes().splitlines()
@@ -314,14 +317,20 @@ def _tell(
         stream.write("\nby the truth: OFFBOARD never began\n")
         return Exit.NOT_CAPTURED
     captured = verdict.captured and flight.summary.captured
-    path = [(row.x_m, row.y_m) for row in in_offboard(rows)]
+    truth = Truth([(row.x_m, row.y_m) for row in in_offboard(rows)], target, beacons)
     what, done = ("station", "reached") if flight.problem.kind == "station" else ("target", "captured")
     try:
         title = headline(captured, verdict.time_s, verdict.path_m, verdict.path_ratio, flight.problem.kind)
-        draw_flight(out / "flight.png", flight, Truth(path, target, beacons), title)
+        draw_flight(out / "flight.png", flight, truth, title)
         picture = str(out / "flight.png")
     except PictureError as error:
         picture = f"none: {error}"
+    try:
+        page = out / "flight.html"
+        write(page, read(out / "flight.mcap"), truth)
+        report = str(page)
+    except (PageError, RecordError) as error:
+        report = f"none: {error}"
     stream.write(
         f"\nby the truth: {what} {done if verdict.captured else f'NOT {done}'}\n"
         f"  time           {verdict.time_s:.1f} s from OFFBOARD to the radius\n"
@@ -331,5 +340,6 @@ def _tell(
         f"  at rest        {verdict.rest_m:.2f} m from the {what}; {done} is within "
         f"{flight.problem.radius_m:.2f} m\n"
         f"  picture        {picture}\n"
+        f"  report         {report}\n"
     )
     return Exit.OK if captured else Exit.NOT_CAPTURED

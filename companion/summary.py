@@ -143,7 +143,7 @@ class FlightLog:
 
 def report(log: FlightLog, problem: Problem) -> FlightReport:
     """The summary together with the phases and the trail, on one time axis that begins at engagement."""
-    zero_ns = _zero_ns(log)
+    zero_ns = axis_begin_ns(log)
     return FlightReport(
         summary=summarise(log, problem),
         problem=problem,
@@ -281,7 +281,7 @@ def _statuses(log: FlightLog) -> list[Status]:
     return [*log.trail, log.last]
 
 
-def _zero_ns(log: FlightLog) -> int:
+def axis_begin_ns(log: FlightLog) -> int:
     """The time axis begins at engagement, else with the first status."""
     begin_ns, _ = _engagement_ns(log)
     if begin_ns is not None:

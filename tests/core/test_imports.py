@@ -24,6 +24,7 @@ EDGES = {
 }  # fmt: skip
 DESK = {
     "operator", "ground", "picture", "demo", "goal", "bench", "simulate", "publish", "check", "watch", "keys",
+    "report",
 }  # fmt: skip
 TOP = {"cli", "cli_publish", "cli_watch", "cli_keys", "commands", "fly", "config", "exits", "__main__"} | DESK
 
@@ -101,7 +102,7 @@ def test_only_the_links_speak_mavlink_and_zenoh() -> None:
 
 
 def test_the_flying_process_loads_none_of_the_desks_tools() -> None:
-    heavy = "control scipy matplotlib numba mavsdk numpy pandas"
+    heavy = "control scipy matplotlib numba mavsdk numpy pandas plotly"
     code = (
         "import sys, companion.cli, companion.fly, companion.config\n"
         f"print(sorted(m for m in {heavy.split()!r} if m in sys.modules))"

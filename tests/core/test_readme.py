@@ -20,6 +20,7 @@ from companion.settings import RangesSettings
 from companion.types import RangeSample
 from tests.core.readme import README, with_table
 from tests.link.test_fly_process import free_port
+from tests.record.flights import flown, in_file
 
 ROOT = README.parent
 TEXT = README.read_text(encoding="utf-8")
@@ -69,6 +70,10 @@ def test_every_command_runs(command: str, tmp_path: Path) -> None:
     elif words[1] == "watch":
         words = [w.replace("192.168.1.10", "127.0.0.1") for w in words]
         assert run([*words, "--seconds", "0.3"]) == Exit.NO_VEHICLE
+    elif words[1] == "report":
+        words = [str(tmp_path / Path(w).name) if w.startswith("flights/") else w for w in words]
+        in_file(Path(words[2]), flown())
+        assert run(words) == Exit.OK
     elif words[1] == "operator":
         assert run([*words, "--timeout", "1"]) == OperatorResult.NO_VEHICLE.exit_status
     else:
