@@ -8,9 +8,13 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 from companion.exits import Exit
 from companion.settings import RangesSettings
+
+if TYPE_CHECKING:
+    from companion.watch.terminal import Screen
 
 WATCH_EXAMPLES = (
     "companion watch --zenoh-connect tcp/192.168.1.10:7447\n"
@@ -28,39 +32,64 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="what to show (auto: live on a terminal, else a line per second)",
     )
+    parser.add_argument(
+        "--web",
+        metavar="PORT",
+        type=int,
+        help="show a page at http://127.0.0.1:PORT/ instead; 0: any free port",
+    )
+    parser.add_argument(
+        "--bind",
+        metavar="ADDRESS",
+        default="127.0.0.1",
+        help="--web: listen here; 0.0.0.0 lets every machine of the network look on (default: %(default)s)",
+    )
     parser.add_argument("--seconds", metavar="S", type=float, help="end after this long (default: Ctrl-C)")
 
 
 def watch(args: argparse.Namespace, settings: RangesSettings) -> int:
     """Watch until Ctrl-C. Raises ValueError for what cannot be meant."""
-    from companion.view import ViewKind
     from companion.watch.listen import Listener
-    from companion.watch.terminal import open_screen
 
     _check(settings)
     if args.uav != "*":
         _name(args.uav)
-    try:
-        with ExitStack() as stack:
-            stop = _until_signal(stack)
+    with ExitStack() as stack:
+        stop = _until_signal(stack)
+        try:
             listener = Listener(settings, args.uav)
             stack.callback(listener.close)
-            screen = open_screen(sys.stdout, ViewKind(args.view))
-            stack.callback(screen.close)
-            end = time.monotonic() + args.seconds if args.seconds is not None else None
-            while True:
-                for news in listener.poll():
-                    if news.change is not None:
-                        screen.note(news.vehicle, news.change)
-                screen.show(listener.fleet, listener.missing(), time.monotonic_ns())
-                left_s = screen.period_s if end is None else min(screen.period_s, end - time.monotonic())
-                if left_s <= 0.0 or stop.wait(left_s):
-                    break
-            heard = any(vehicle.message is not None for vehicle in listener.fleet.vehicles())
-            return Exit.OK if heard or stop.is_set() else Exit.NO_VEHICLE
+            screen = _screen(args)
+        except OSError as error:
+            print(f"companion: {error}", file=sys.stderr)
+            return Exit.LINK
+        stack.callback(screen.close)
+        end = time.monotonic() + args.seconds if args.seconds is not None else None
+        while True:
+            screen.show(listener.fleet, listener.poll(), listener.missing(), time.monotonic_ns())
+            left_s = screen.period_s if end is None else min(screen.period_s, end - time.monotonic())
+            if left_s <= 0.0 or stop.wait(left_s):
+                break
+        heard = any(vehicle.message is not None for vehicle in listener.fleet.vehicles())
+        return Exit.OK if heard or stop.is_set() else Exit.NO_VEHICLE
+
+
+def _screen(args: argparse.Namespace) -> Screen:
+    """The terminal, or the page, said where. Raises OSError, ValueError."""
+    from companion.view import ViewKind
+    from companion.watch.page import Page
+    from companion.watch.terminal import open_screen
+
+    if args.web is None:
+        return open_screen(sys.stdout, ViewKind(args.view))
+    if not 0 <= args.web <= 65_535:
+        raise ValueError(f"--web {args.web}: a port is between 0 and 65535")
+    try:
+        page = Page(args.bind, args.web)
     except OSError as error:
-        print(f"companion: {error}", file=sys.stderr)
-        return Exit.LINK
+        raise OSError(f"--web: cannot listen on {args.bind} port {args.web}: {error.strerror}") from None
+    print(f"watching on {page.url} until Ctrl-C", flush=True)
+    return page
 
 
 def _check(settings: RangesSettings) -> None:

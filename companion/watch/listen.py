@@ -51,6 +51,8 @@ class Listener:
             reason = self._link.reason
             told = f": {reason}" if reason and not reason.startswith("Unable to connect") else ""
             return f"awaiting a router or a vehicle on {self._endpoints}: nobody answers there yet{told}"
+        if vehicles:
+            return f"every vehicle is gone; awaiting one on {status_key(self._uav)}"
         return f"connected; awaiting a vehicle: nothing on {status_key(self._uav)} yet"
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from typing import IO, Protocol
 
 import msgspec
@@ -12,9 +13,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from companion.types import PhaseChange
 from companion.view import PHASE_STYLE, ViewKind, change_line, panel, plain_line, told_text
 from companion.watch.fleet import Fleet, Link, Vehicle
+from companion.watch.listen import News
 
 _LINK_STYLE = {Link.LIVE: "green", Link.SILENT: "bold red", Link.GONE: "red"}
 
@@ -24,11 +25,8 @@ class Screen(Protocol):
 
     period_s: float
 
-    def show(self, fleet: Fleet, missing: str, now_ns: int) -> None:
-        """Once a period. `missing`: what is awaited, '' for nothing."""
-
-    def note(self, vehicle: Vehicle, change: PhaseChange) -> None:
-        """A vehicle's phase has changed."""
+    def show(self, fleet: Fleet, news: Sequence[News], missing: str, now_ns: int) -> None:
+        """Once a period. `news`: what came since; `missing`: what is awaited, '' for nothing."""
 
     def close(self) -> None:
         """Give the stream back."""
@@ -53,13 +51,13 @@ class LiveScreen:
         self._live = Live(console=self._console, auto_refresh=False)
         self._live.start()
 
-    def show(self, fleet: Fleet, missing: str, now_ns: int) -> None:
-        """Paint."""
+    def show(self, fleet: Fleet, news: Sequence[News], missing: str, now_ns: int) -> None:
+        """Print the changes, paint the rest."""
+        for item in news:
+            if item.change is not None:
+                told = told_text(item.change, item.vehicle.t0_ns)
+                self._console.print(Text(f"{item.vehicle.uav} ", style="bold") + told, soft_wrap=True)
         self._live.update(screen(fleet, missing, now_ns), refresh=True)
-
-    def note(self, vehicle: Vehicle, change: PhaseChange) -> None:
-        """Print above."""
-        self._console.print(Text(f"{vehicle.uav} ", style="bold") + told_text(change, vehicle.t0_ns))
 
     def close(self) -> None:
         """Leave the last picture where it is."""
@@ -75,24 +73,19 @@ class PlainScreen:
         self._stream = stream
         self._missing = ""
 
-    def show(self, fleet: Fleet, missing: str, now_ns: int) -> None:
-        """A line for each; what is awaited once."""
-        lines = [vehicle_line(vehicle, now_ns) for vehicle in fleet.vehicles()]
-        if missing != self._missing and missing:
-            lines.insert(0, missing)
+    def show(self, fleet: Fleet, news: Sequence[News], missing: str, now_ns: int) -> None:
+        """What is awaited, once; the changes; a line for each vehicle."""
+        lines = [missing] if missing and missing != self._missing else []
         self._missing = missing
-        self._write(lines)
-
-    def note(self, vehicle: Vehicle, change: PhaseChange) -> None:
-        """A line."""
-        self._write([f"uav={vehicle.uav} {change_line(change, vehicle.t0_ns)}"])
+        for vehicle, _, change in news:
+            if change is not None:
+                lines.append(f"uav={vehicle.uav} {change_line(change, vehicle.t0_ns)}")
+        lines += [vehicle_line(vehicle, now_ns) for vehicle in fleet.vehicles()]
+        self._stream.write("".join(f"{line}\n" for line in lines))
+        self._stream.flush()
 
     def close(self) -> None:
         """Nothing is kept back."""
-
-    def _write(self, lines: list[str]) -> None:
-        self._stream.write("".join(f"{line}\n" for line in lines))
-        self._stream.flush()
 
 
 class JsonScreen:
@@ -103,7 +96,7 @@ class JsonScreen:
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
 
-    def show(self, fleet: Fleet, missing: str, now_ns: int) -> None:
+    def show(self, fleet: Fleet, news: Sequence[News], missing: str, now_ns: int) -> None:
         """A line for each; what is awaited goes to standard error."""
         if missing and not fleet.vehicles():
             print(missing, file=sys.stderr)
@@ -116,9 +109,6 @@ class JsonScreen:
             }
             self._stream.write(msgspec.json.encode(row).decode() + "\n")
         self._stream.flush()
-
-    def note(self, vehicle: Vehicle, change: PhaseChange) -> None:
-        """The phase is in the message."""
 
     def close(self) -> None:
         """Nothing is kept back."""

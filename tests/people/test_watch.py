@@ -17,6 +17,7 @@ from companion.exits import Exit
 from companion.link.zenoh_publish import Heard
 from companion.types import Phase, Status
 from companion.watch.fleet import MOST_VEHICLES, Fleet, Link
+from companion.watch.listen import News
 from companion.watch.terminal import PlainScreen, screen, vehicle_line
 from companion.wire_status import JSON, StatusMessage, alive_key, encode, status_key
 from tests.link.test_fly_process import run, start
@@ -81,9 +82,12 @@ def test_changes_of_phase_are_told_and_losses_counted_but_not_over_a_restart() -
     change = fleet.take(heard("heron", message(status(3.0, phase=Phase.HOLD, reason="there"), seq=4)))
     assert change is not None and (change.before, change.after) == (Phase.APPROACH, Phase.HOLD)
     assert fleet.vehicles()[0].lost == 3
-    stream = io.StringIO()
-    PlainScreen(stream).note(fleet.vehicles()[0], change)
-    assert stream.getvalue() == "uav=heron t_s=2.0 change=APPROACH->HOLD severity=INFO reason=there\n"
+    stream, vehicle = io.StringIO(), fleet.vehicles()[0]
+    assert vehicle.message is not None
+    PlainScreen(stream).show(fleet, [News(vehicle, vehicle.message, change)], "", S)
+    told, *rest = stream.getvalue().splitlines()
+    assert told == "uav=heron t_s=2.0 change=APPROACH->HOLD severity=INFO reason=there"
+    assert [line.split()[:3] for line in rest] == [["uav=heron", "link=live", "age_s=1.0"]]
     assert fleet.take(heard("heron", message(status(1.0, phase=Phase.AWAIT), session="s2"))) is None
     assert fleet.vehicles()[0].lost == 0
 
