@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from companion import cli_keys, cli_publish, cli_watch, commands
+from companion import cli_calibrate, cli_keys, cli_publish, cli_watch, commands
 from companion.exits import MEANING, Exit
 
 if TYPE_CHECKING:
@@ -234,6 +234,16 @@ def _parser() -> argparse.ArgumentParser:
         _EXITS,
     )
     cli_keys.options(keys)
+
+    calibrate = _command(
+        verbs,
+        "calibrate",
+        commands.calibrate,
+        "bias and noise of a beacon from ranges over known distances, as configuration",
+        cli_calibrate.EXAMPLES,
+        _EXITS,
+    )
+    cli_calibrate.options(calibrate)
 
     design = _command(
         verbs,

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from companion import cli_keys, cli_publish, cli_watch
+from companion import cli_calibrate, cli_keys, cli_publish, cli_watch
 from companion.exits import Exit
 
 if TYPE_CHECKING:
@@ -284,6 +284,16 @@ def keys(args: argparse.Namespace) -> int:
     try:
         return cli_keys.run(args)
     except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def calibrate(args: argparse.Namespace) -> int:
+    """Bias and noise of a beacon."""
+    from companion.calibrate import CalibrationError
+
+    try:
+        return cli_calibrate.run(args)
+    except (CalibrationError, ValueError) as error:
         raise UsageError(str(error)) from error
 
 

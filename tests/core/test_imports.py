@@ -24,9 +24,12 @@ EDGES = {
 }  # fmt: skip
 DESK = {
     "operator", "ground", "picture", "demo", "goal", "bench", "simulate", "publish", "check", "watch", "keys",
-    "report",
+    "report", "calibrate",
 }  # fmt: skip
-TOP = {"cli", "cli_publish", "cli_watch", "cli_keys", "commands", "fly", "config", "exits", "__main__"} | DESK
+TOP = {
+    "cli", "cli_publish", "cli_watch", "cli_keys", "cli_calibrate", "commands", "fly", "config", "exits",
+    "__main__",
+} | DESK  # fmt: skip
 
 
 def imported(path: Path) -> set[str]:

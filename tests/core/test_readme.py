@@ -74,6 +74,16 @@ def test_every_command_runs(command: str, tmp_path: Path) -> None:
         words = [str(tmp_path / Path(w).name) if w.startswith("flights/") else w for w in words]
         in_file(Path(words[2]), flown())
         assert run(words) == Exit.OK
+    elif words[1] == "calibrate":
+        for i, name in enumerate(words):
+            if name.endswith((".jsonl", ".toml", ".png")):
+                words[i] = str(tmp_path / name)
+        for k, path in enumerate(w for w in words if w.endswith(".jsonl")):
+            lines = [
+                f'{{"beacon": "0x0001", "range_m": {5.3 + 15 * k + 0.01 * (n % 9)}}}\n' for n in range(40)
+            ]
+            Path(path).write_text("".join(lines))
+        assert run(words) == Exit.OK
     elif words[1] == "operator":
         assert run([*words, "--timeout", "1"]) == OperatorResult.NO_VEHICLE.exit_status
     else:
