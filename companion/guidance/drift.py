@@ -99,7 +99,7 @@ def start(d_m: float, sigma_m: float, n: Noise) -> DriftLift:
 
 def distance(f: DriftLift) -> float:
     """The distance that belongs to x1, 0 where it is negative (which noise makes it, close to the target)."""
-    return math.sqrt(max(2.0 * f.x1, 0.0))
+    return math.sqrt(2.0 * f.x1) if f.x1 > 0.0 else 0.0
 
 
 def predict(

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import msgspec
+
 from companion.guidance.model import Lifted, Step, flow, lifted_range
 
 TINY = 1e-12
@@ -27,7 +29,7 @@ class Gaussian(NamedTuple):
     p33: float
 
 
-class Measured(NamedTuple):
+class Measured(msgspec.Struct, frozen=True, gc=False):
     """A measurement of d²/2 (m²), and its variance (m⁴)."""
 
     y: float
@@ -109,10 +111,9 @@ def update(g: Gaussian, m: Measured) -> Gaussian:
     With C = [1, 0, 0] the gain is the first column of P divided by S = p11 + variance.
     """
     x, p11, p12, p13, p22, p23, p33 = g
-    y, variance = m
-    s_inv = 1.0 / (p11 + variance)
-    innovation = (y - x.x1) * s_inv
-    rest = variance * s_inv
+    s_inv = 1.0 / (p11 + m.variance)
+    innovation = (m.y - x.x1) * s_inv
+    rest = m.variance * s_inv
     return Gaussian(
         Lifted(x.x1 + p11 * innovation, x.x2 + p12 * innovation, x.x3 + p13 * innovation),
         max(p11 * rest, TINY),

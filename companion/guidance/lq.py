@@ -6,12 +6,13 @@ Both gains are closed forms, of the order of a microsecond each, so that no solv
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+import msgspec
 
 from companion.guidance.model import NEAR_M, jacobian
 
 
-class Gains(NamedTuple):
+class Gains(msgspec.Struct, frozen=True, gc=False):
     """The row K of a state feedback ω = −K x."""
 
     k1: float
@@ -51,7 +52,7 @@ def bearing_gains(d_m: float, v_m_s: float, lag_s: float, q1: float, q2: float, 
     roots symmetric to both axes, and the coefficients of p = s² + p1 s + p0 follow from two square roots.
     Everything is multiplied by τ, so that τ = 0 needs no case of its own.
     """
-    a = v_m_s / max(d_m, NEAR_M)
+    a = v_m_s / (d_m if d_m > NEAR_M else NEAR_M)
     p0 = math.sqrt(a * a + (q1 + q2 * a * a) / r)
     p1 = math.sqrt(2.0 * p0 * lag_s + a * a * lag_s * lag_s + 1.0 + q2 / r)
     k2 = p1 + a * lag_s - 1.0

@@ -59,7 +59,9 @@ def information(f: DriftLift, offset_variance: float) -> Information:
     m11 = d * g - e * e
     m12 = c * e - b * g
     m13 = b * e - c * d
-    det = max(a * m11 + b * m12 + c * m13, 1e-30)
+    det = a * m11 + b * m12 + c * m13
+    if det < 1e-30:
+        det = 1e-30
     return Information(
         m11 / det, m12 / det, m13 / det, (a * g - c * c) / det, (b * c - a * e) / det, (a * d - b * b) / det
     )
@@ -68,8 +70,9 @@ def information(f: DriftLift, offset_variance: float) -> Information:
 def fix(f: DriftLift, i: Information, x: float, y: float) -> Fix:
     """The most probable (x, y), by Gauss-Newton from the one given, and the drift that goes with it."""
     i11, i12, i13, i22, i23, i33 = i
-    stretch = math.sqrt(max(2.0 * f.x1, 0.0) / (x * x + y * y + TINY))
-    if stretch > 1.0:
+    longer = 2.0 * f.x1 / (x * x + y * y + TINY)
+    if longer > 1.0:
+        stretch = math.sqrt(longer)
         x *= stretch
         y *= stretch
     n11 = n12 = n22 = det = 1.0
@@ -84,7 +87,9 @@ def fix(f: DriftLift, i: Information, x: float, y: float) -> Fix:
         n11 = x * x * i11 + 2.0 * x * i12 + i22
         n12 = x * y * i11 + x * i13 + y * i12 + i23
         n22 = y * y * i11 + 2.0 * y * i13 + i33
-        det = max(n11 * n22 - n12 * n12, 1e-30)
+        det = n11 * n22 - n12 * n12
+        if det < 1e-30:
+            det = 1e-30
         q1 = x * g1 + g2
         q2 = y * g1 + g3
         dx = (n12 * q2 - n22 * q1) / det
