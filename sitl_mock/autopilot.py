@@ -36,6 +36,8 @@ _RAMP_START, _RAMP_RISE = 0.6, 0.75
 
 _LIFTING = frozenset({Mode.TAKEOFF, Mode.OFFBOARD})
 """The modes that leave the ground."""
+_LEVEL = frozenset({Mode.DESCEND, Mode.ALTCTL, Mode.MANUAL, Mode.STABILIZED, Mode.ACRO})
+"""The modes that keep level and leave the horizontal velocity to the drag."""
 
 
 class Target(NamedTuple):
@@ -59,7 +61,7 @@ class Autopilot:
     """Position, velocity and yaw control of every mode."""
 
     def __init__(self, vehicle: Vehicle, errors: EstimateErrors, params: Params) -> None:
-        self._vehicle, self._errors, self._params = vehicle, errors, params
+        self._vehicle, self._errors, self._params = vehicle, errors, params.values
         self.offboard: Target | None = None
         """The setpoint that OFFBOARD flies; None until the first one after its entry."""
         self.climbing = False
@@ -152,7 +154,7 @@ class Autopilot:
         ):
             self._ramp_s += STEP_S
             climb = min(climb, self._ramp_limit())
-        if mode is Mode.DESCEND or mode in (Mode.ALTCTL, Mode.MANUAL, Mode.STABILIZED, Mode.ACRO):
+        if mode in _LEVEL:
             vehicle.level(climb - errors.climb_m_s)
         else:
             vehicle.command(vx - errors.vx_m_s, vy - errors.vy_m_s, climb - errors.climb_m_s, yaw_rate)
@@ -188,10 +190,10 @@ class Autopilot:
         target, params = self.offboard, self._params
         if target is None:
             return 0.0, 0.0, self._height_climb(self._hold_height), 0.0
-        x, y, _ = self._position()
-        gain = params["MPC_XY_P"]
         vx, vy = target.vx_m_s or 0.0, target.vy_m_s or 0.0
         if target.x_m is not None and target.y_m is not None:
+            x, y, _ = self._position()
+            gain = params["MPC_XY_P"]
             vx += gain * (target.x_m - x)
             vy += gain * (target.y_m - y)
         speed, most = hypot(vx, vy), params["MPC_XY_VEL_MAX"]

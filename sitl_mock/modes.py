@@ -21,6 +21,8 @@ class Result(IntEnum):
 class Mode(Enum):
     """PX4's navigation states. DESCEND, the blind descent, is entered by a failsafe only."""
 
+    __hash__ = object.__hash__  # looked up on every step; Enum's own hashes the name
+
     MANUAL = "manual"
     ALTCTL = "altctl"
     POSCTL = "posctl"

@@ -33,25 +33,26 @@ class Params:
     """A parameter table. A parameter keeps its type for ever."""
 
     def __init__(self, overrides: dict[str, int | float] | None = None) -> None:
-        self._values = dict(DEFAULTS)
+        self.values = dict(DEFAULTS)
+        """Name → value, now; to be changed by `set` only."""
         for name, value in (overrides or {}).items():
             self.set(name, value)
 
     def __getitem__(self, name: str) -> float:
-        return self._values[name]
+        return self.values[name]
 
     def names(self) -> list[str]:
         """Every name, in the order of its index on the wire."""
-        return list(self._values)
+        return list(self.values)
 
     def get(self, name: str) -> int | float | None:
         """The value, or None if there is no such parameter."""
-        return self._values.get(name)
+        return self.values.get(name)
 
     def set(self, name: str, value: float) -> bool:
         """Set a parameter in its own type; False if there is no such parameter."""
-        old = self._values.get(name)
+        old = self.values.get(name)
         if old is None:
             return False
-        self._values[name] = int(value) if isinstance(old, int) else float(value)
+        self.values[name] = int(value) if isinstance(old, int) else float(value)
         return True

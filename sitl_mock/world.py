@@ -161,33 +161,40 @@ class World:
             px4.step()
             px4.notices.clear()
             self._person()
-            if truth.due(step):
+            if truth.at <= step and truth.due(step):
                 self._sample()
             reachable = telling = not px4.booting
             if self.faults.any:
                 reachable = reachable and not self.faults.active(Fault.LINK_LOSS)
                 telling = reachable and not self.faults.active(Fault.TELEMETRY_STOP)
 
-            if heartbeat.due(step) and reachable and not self.faults.active(Fault.HEARTBEAT_STOP):
+            if (
+                heartbeat.at <= step
+                and heartbeat.due(step)
+                and reachable
+                and not self.faults.active(Fault.HEARTBEAT_STOP)
+            ):
                 yield VehicleHeartbeat(t_ns, 1, WIRE[px4.mode].name, px4.armed)
             modes = (px4.mode, px4.intended)
-            if (mode.due(step) or modes != last_modes) and telling:
+            if ((mode.at <= step and mode.due(step)) or modes != last_modes) and telling:
                 last_modes = modes
                 yield ModeReport(t_ns, WIRE[px4.mode].name, WIRE[px4.intended].name)
-            if landed.due(step) and telling:
+            if landed.at <= step and landed.due(step) and telling:
                 yield LandedReport(t_ns, px4.landed_state)
-            if attitude.due(step) and telling and told:
+            if attitude.at <= step and attitude.due(step) and telling and told:
                 yield self._attitude(t_ns)
-            if motion.due(step) and telling and told and px4.velocity_valid:
+            if motion.at <= step and motion.due(step) and telling and told and px4.velocity_valid:
                 yield self._motion(t_ns)
             for beacon, clock in ranges:
+                if clock.at > step:
+                    continue
                 for _ in range(clock.due(step)):
                     v = self.vehicle
                     r = beacon.measure(v.x_m, v.y_m, v.height_m)
                     if r is not None:
                         los = LineOfSight(r.los)
                         yield RangeSample(t_ns, r.beacon, r.session, r.seq, r.range_m, r.sigma_m, los)
-            if tick.due(step):
+            if tick.at <= step and tick.due(step):
                 yield Tick(t_ns)
 
     def path_length_m(self, until_s: float | None = None, since_s: float = 0.0) -> float:

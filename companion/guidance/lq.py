@@ -6,13 +6,12 @@ Both gains are closed forms, of the order of a microsecond each, so that no solv
 from __future__ import annotations
 
 import math
-
-import msgspec
+from typing import NamedTuple
 
 from companion.guidance.model import NEAR_M, jacobian
 
 
-class Gains(msgspec.Struct, frozen=True, gc=False):
+class Gains(NamedTuple):
     """The row K of a state feedback ω = −K x."""
 
     k1: float
