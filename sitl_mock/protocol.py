@@ -80,6 +80,7 @@ class Protocol:
         self._commands: deque[tuple[Link, Message]] = deque()
         self._params_due: deque[tuple[Link, str]] = deque()
         self._gcs_seen: set[Link] = set()
+        self._event_sequence = 0
         self._streams: dict[Link, dict[int, _Stream]] = {
             link: {i: _Stream(hz, self._steps) for i, hz in rates.items() if i in self._builders}
             for link, rates in _RATES.items()
@@ -98,6 +99,11 @@ class Protocol:
                 text = notice.text.encode()[:50]
                 self._send(link, mavlink.MAVLink_statustext_message(notice.severity, text))
         self.px4.notices.clear()
+        for event in self.px4.events:
+            self._event_sequence += 1
+            for link in Link:
+                self._send(link, event.message(round(self.px4.boot_s * 1e3), self._event_sequence))
+        self.px4.events.clear()
         if not self.px4.booting:
             self._stream()
             for _ in range(min(len(self._params_due), _PARAMS_PER_STEP)):

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from companion.types import Landed
+from companion.types import Charge, Landed
+from sitl_mock import px4_events as told
 from sitl_mock.autopilot import Autopilot, Target
 from sitl_mock.estimate import EstimateErrors
 from sitl_mock.faults import Fault, Faults
@@ -28,6 +29,8 @@ NOTICE_S = 0.05
 REBOOT_S = 2.0
 CRITICAL, INFO = 2, 6
 """MAV_SEVERITY."""
+_CHARGE_SHARE = {Charge.OK: 1.0, Charge.LOW: 0.14, Charge.CRITICAL: 0.05}
+_OTHER_SYSTEM = 42
 _DRAIN_1_S = 0.0164
 """Recorded: SIH drains its battery so fast in flight."""
 
@@ -52,7 +55,8 @@ class Notice(NamedTuple):
 class Px4:
     """The commander. Commands come in by methods, time by `step`; whoever owns it reads its state.
 
-    `notices` collects what it says to people; `on_reboot` is called when it restarts.
+    `notices` collects what it says to people, `events` the same for a companion; `on_reboot` is called when
+    it restarts.
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class Px4:
         self.errors = EstimateErrors(scenario.telemetry, seed, scenario.drift_x_m_s, scenario.drift_y_m_s)
         self.autopilot = Autopilot(vehicle, self.errors, params)
         self.notices: list[Notice] = []
+        self.events: list[told.Event] = []
         self.on_reboot: Callable[[], None] = lambda: None
         self.scenario = scenario
         self._steps = 0
@@ -144,6 +149,18 @@ class Px4:
         return self.faults.active(Fault.BATTERY_LOW)
 
     @property
+    def charge(self) -> Charge:
+        """BATTERY_STATUS.charge_state."""
+        if self.battery_low:
+            return Charge.CRITICAL
+        return Charge.LOW if self.faults.active(Fault.BATTERY_WARNING) else Charge.OK
+
+    @property
+    def battery_told(self) -> float:
+        """The share of the battery that is told to be left."""
+        return min(self.battery, _CHARGE_SHARE[self.charge])
+
+    @property
     def remote_control(self) -> bool:
         """A radio control is there."""
         return (
@@ -199,6 +216,7 @@ class Px4:
             return Result.ACCEPTED
         if not self.armable or self.mode in (Mode.LAND, Mode.RTL):
             self._say(CRITICAL, "Arming denied: resolve system health failures first")
+            self.events.append(told.ARM_DENIED)
             return Result.TEMPORARILY_REJECTED
         self.armed = self.vehicle.motors_on = True
         self._armed_step = self._steps
@@ -206,6 +224,7 @@ class Px4:
         self.autopilot.set_home()
         self.autopilot.enter(self.mode)
         self._say(INFO, "Armed by external command")
+        self.events.append(told.ARMED)
         return Result.ACCEPTED
 
     def disarm(self, force: bool = False) -> Result:
@@ -259,6 +278,7 @@ class Px4:
                 self.landed = False
                 self._flown = True
                 self._say(INFO, "Takeoff detected")
+                self.events.append(told.TAKE_OFF)
         self.vehicle.step()
         if self.mode is Mode.TAKEOFF and self.armed and self.autopilot.take_off_done:
             self.intended = Mode.LOITER
@@ -273,6 +293,7 @@ class Px4:
             (Fault.REBOOT, self.reboot),
             (Fault.DISARM, lambda: self.disarm(force=True)),
             (Fault.BATTERY_LOW, self._battery_critical),
+            (Fault.ID_CHANGE, lambda: self.params.set("MAV_SYS_ID", _OTHER_SYSTEM)),
         ):
             if not self.faults.active(fault):
                 self._seen_faults.discard(fault)
@@ -310,6 +331,9 @@ class Px4:
                 CRITICAL,
                 f"Failsafe activated: {'no offboard signal, ' if not self.streaming else ''}{mode.value}",
             )
+            if self.intended is Mode.OFFBOARD and not self.can_run(Mode.OFFBOARD):
+                self.events.append(told.NO_OFFBOARD)
+            self.events.append(told.failsafe(self.intended, int(self.params["COM_OBL_RC_ACT"])))
         self.failsafe = failsafe
         if mode is not self.mode:
             self.mode = mode
@@ -344,6 +368,7 @@ class Px4:
             self._landed_step = self._steps
             self._contact_step = None
             self._say(INFO, "Landing detected")
+            self.events.append(told.LANDED)
 
     def _disarm(self, words: str) -> None:
         self.armed = self.vehicle.motors_on = False
@@ -353,6 +378,8 @@ class Px4:
         self._contact_step = None
         self.autopilot.enter(self.mode)
         self._say(INFO, words)
+        if words == "Disarmed by landing":
+            self.events.append(told.DISARMED_BY_LANDING)
 
     def say_critical(self, text: str) -> None:
         """Say this to people."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.types import Landed
+from companion.types import Charge, Landed
 from sitl_mock.faults import Fault
 from sitl_mock.modes import WIRE
 from sitl_mock.px4 import Px4
@@ -28,7 +28,12 @@ _LANDED = {
     Landed.TAKING_OFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
     Landed.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
 }
-_BATTERY_FULL_V, _BATTERY_LOW = 16.2, 0.05
+_BATTERY_FULL_V = 16.2
+_CHARGE = {
+    Charge.OK: mavlink.MAV_BATTERY_CHARGE_STATE_OK,
+    Charge.LOW: mavlink.MAV_BATTERY_CHARGE_STATE_LOW,
+    Charge.CRITICAL: mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL,
+}
 _UNKNOWN_COVARIANCE = [nan] * 21
 _HARDWARE_UID = list(b"sitl-mock\0\0\0\0\0\0\0\0\0")
 
@@ -215,15 +220,11 @@ def _extended_sys_state(px4: Px4, _: View) -> Message:
     return mavlink.MAVLink_extended_sys_state_message(0, _LANDED[px4.landed_state])
 
 
-def _battery(px4: Px4) -> float:
-    return _BATTERY_LOW if px4.battery_low else px4.battery
-
-
 def _sys_status(px4: Px4, _: View) -> Message:
     health = _SENSORS_HEALTHY | (mavlink.MAV_SYS_STATUS_PREARM_CHECK if px4.armable else 0)
     if px4.faults.active(Fault.GPS_LOST):
         health &= ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
-    left = _battery(px4)
+    left = px4.battery_told
     volts = _BATTERY_FULL_V - 2.4 * (1.0 - left)
     return mavlink.MAVLink_sys_status_message(
         _SENSORS_PRESENT,
@@ -238,13 +239,10 @@ def _sys_status(px4: Px4, _: View) -> Message:
 
 
 def _battery_status(px4: Px4, _: View) -> Message:
-    left = _battery(px4)
+    left = px4.battery_told
     cells = [round((_BATTERY_FULL_V - 2.4 * (1.0 - left)) * 1e3)] + [65535] * 9
-    charge = (
-        mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL if px4.battery_low else mavlink.MAV_BATTERY_CHARGE_STATE_OK
-    )
     return mavlink.MAVLink_battery_status_message(
-        0, 1, 1, 32767, cells, -100, -1, -1, round(left * 100), 0, charge, [0, 0, 0, 0], 0, 0
+        0, 1, 1, 32767, cells, -100, -1, -1, round(left * 100), 0, _CHARGE[px4.charge], [0, 0, 0, 0], 0, 0
     )
 
 

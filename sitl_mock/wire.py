@@ -33,6 +33,7 @@ from sitl_mock.scenario import Scenario
 from sitl_mock.streams import Message
 from sitl_mock.uwb import Beacon
 from sitl_mock.vehicle import STEP_S, Vehicle
+from sitl_mock.visitors import Visitor, Visitors
 from sitl_mock.world import start_pose
 
 _CATCH_UP_STEPS = 50
@@ -65,6 +66,12 @@ def _parse(datagram: bytes) -> list[Message]:
     return [m for m in messages if m.get_type() != "BAD_DATA" and not m.get_type().startswith("UNKNOWN")]
 
 
+def _packed(visitor: Visitor) -> bytes:
+    """The message of another one, with its ids; its sequence numbers are of no use to anybody."""
+    data: bytes = visitor.message.pack(mavlink.MAVLink(None, visitor.system, visitor.component))
+    return data
+
+
 class Udp:
     """One MAVLink channel over UDP with exactly one peer.
 
@@ -92,6 +99,16 @@ class Udp:
         self.url = f"{kind}:{address[0]}:{address[1]}"
         """Where it really is: the port is the system's choice if 0 was asked for."""
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+
+    @property
+    def system_id(self) -> int:
+        """The autopilot's id in what is sent."""
+        number: int = self._mav.srcSystem
+        return number
+
+    @system_id.setter
+    def system_id(self, number: int) -> None:
+        self._mav.srcSystem = number
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
@@ -201,6 +218,7 @@ class Wire:
         self.vehicle = Vehicle(scenario, x, y, 0.0, heading)
         self.px4 = Px4(scenario, seed, self.vehicle, params, self.faults)
         self._protocol = Protocol(self.px4)
+        self._visitors = Visitors(self.faults)
         urls = {Link.ONBOARD: endpoints.onboard, Link.GCS: endpoints.gcs}
         self.links = {
             link: Udp(url, self._protocol.system_id) for link, url in urls.items() if url is not None
@@ -264,9 +282,15 @@ class Wire:
 
     def _step(self) -> None:
         self._steps += 1
+        for udp in self.links.values():
+            udp.system_id = self._protocol.system_id
         for link, message in self._protocol.step():
             if link in self.links:
                 self.links[link].send(message, self._lost(link))
+        for visitor in self._visitors.step(self._steps, self._protocol.system_id):
+            onboard = self.links.get(Link.ONBOARD)
+            if onboard is not None and not self._lost(Link.ONBOARD):
+                onboard.forward(_packed(visitor))
         v = self.vehicle
         for beacon, clock in self._beacons:
             for _ in range(clock.due(self._steps)):

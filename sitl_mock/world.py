@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 from companion.types import (
     Attitude,
+    BatteryReport,
+    EstimatorReport,
     Event,
     LandedReport,
     LineOfSight,
@@ -20,6 +22,8 @@ from companion.types import (
     ModeReport,
     ModeRequest,
     Output,
+    Party,
+    PartyHeard,
     RangeSample,
     Setpoint,
     Tick,
@@ -34,6 +38,7 @@ from sitl_mock.px4 import Px4
 from sitl_mock.scenario import Scenario
 from sitl_mock.uwb import Beacon
 from sitl_mock.vehicle import STEP_S, Vehicle, wrap
+from sitl_mock.visitors import OTHER_SYSTEM, Visitors
 
 _STEP_NS = round(STEP_S * 1e9)
 _START_NS = 1_000_000_000
@@ -103,6 +108,11 @@ class World:
         return self._step * STEP_S
 
     @property
+    def is_ours(self) -> bool:
+        """The vehicle still has the system id under which the app knows it."""
+        return self.px4.params["MAV_SYS_ID"] != OTHER_SYSTEM
+
+    @property
     def t_ns(self) -> int:
         """The events' clock."""
         return _START_NS + self._step * _STEP_NS
@@ -119,7 +129,7 @@ class World:
             if self._step - self._last_setpoint > _STREAM_GAP_S / STEP_S or self._stream_since is None:
                 self._stream_since = self._step
             self._last_setpoint = self._step
-            if self.px4.booting or self.faults.active(Fault.LINK_LOSS):
+            if self.px4.booting or self.faults.active(Fault.LINK_LOSS) or not self.is_ours:
                 return
             # With a height the velocity is in the local frame; without, it is turned by the heading now.
             held = output.height_m is not None
@@ -135,7 +145,8 @@ class World:
             )
         elif isinstance(output, ModeRequest):
             mode = BY_NAME.get(output.mode)
-            if mode is not None and not self.px4.booting and not self.faults.active(Fault.LINK_LOSS):
+            heard = not (self.px4.booting or self.faults.active(Fault.LINK_LOSS))
+            if mode is not None and heard and self.is_ours:
                 self.px4.set_mode(mode)
 
     def engage(self) -> None:
@@ -154,27 +165,34 @@ class World:
         attitude, motion, truth = Clock(50.0), Clock(30.0), Clock(50.0)
         count = len(self.beacons)
         ranges = [(b, Clock(s.range_rate_hz, i / count)) for i, b in enumerate(self.beacons)]
+        visitors = Visitors(self.faults)
         last_modes = (px4.mode, px4.intended)
         while self.t_s < s.limit_s:
             self._step += 1
             step, t_ns = self._step, self.t_ns
             px4.step()
             px4.notices.clear()
+            px4.events.clear()
             self._person()
             if truth.at <= step and truth.due(step):
                 self._sample()
             reachable = telling = not px4.booting
             if self.faults.any:
-                reachable = reachable and not self.faults.active(Fault.LINK_LOSS)
+                linked = not self.faults.active(Fault.LINK_LOSS)
+                reachable = reachable and linked and self.is_ours
                 telling = reachable and not self.faults.active(Fault.TELEMETRY_STOP)
+                if linked:
+                    yield from visitors.heard(step, t_ns)
 
-            if (
-                heartbeat.at <= step
-                and heartbeat.due(step)
-                and reachable
-                and not self.faults.active(Fault.HEARTBEAT_STOP)
-            ):
+            beat = heartbeat.at <= step and heartbeat.due(step)
+            if beat and reachable and not self.faults.active(Fault.HEARTBEAT_STOP):
                 yield VehicleHeartbeat(t_ns, 1, WIRE[px4.mode].name, px4.armed)
+            elif beat and not self.is_ours:
+                yield PartyHeard(t_ns, Party.AUTOPILOT, OTHER_SYSTEM, 1, "HEARTBEAT")
+            if beat and telling:
+                yield BatteryReport(t_ns, px4.charge, px4.battery_told)
+                local, everywhere = px4.velocity_valid, px4.global_position_valid
+                yield EstimatorReport(t_ns, local, local, height=True, global_position=everywhere)
             modes = (px4.mode, px4.intended)
             if ((mode.at <= step and mode.due(step)) or modes != last_modes) and telling:
                 last_modes = modes

@@ -7,7 +7,38 @@ as PX4 1.17 sends them.
 
 from __future__ import annotations
 
+import struct
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import development as mavlink
+
 from companion.link.modes import px4_mode
+
+EVENT_ID = 410
+
+
+class EventMessage(mavlink.MAVLink_message):  # type: ignore[misc]
+    """EVENT: pymavlink's dialects do not have it. In the form that its decoder expects of generated ones."""
+
+    id = EVENT_ID
+    msgname = "EVENT"
+    fieldnames: ClassVar = [
+        "destination_component", "destination_system", "id", "event_time_boot_ms", "sequence", "log_levels",
+        "arguments",
+    ]  # fmt: skip
+    orders: ClassVar = [3, 4, 0, 1, 2, 5, 6]
+    lengths: ClassVar = [1] * 7
+    crc_extra = 160
+    unpacker = struct.Struct("<IIHBBB40s")
+
+    def __init__(self, component: int, system: int, *fields: Any) -> None:
+        super().__init__(EVENT_ID, "EVENT")
+        self._fieldnames = self.fieldnames
+        self.destination_component, self.destination_system = component, system
+        self.id, self.event_time_boot_ms, self.sequence, self.log_levels, self.arguments = fields
+
+
+mavlink.mavlink_map[EVENT_ID] = EventMessage
 
 _OFFBOARD_BIT = 1 << 14
 """OFFBOARD in a mask of navigation states."""
@@ -40,9 +71,10 @@ _PLAIN = {
 
 
 def event_words(number: int, arguments: bytes) -> str:
-    """The event in words; empty for one that explains nothing about OFFBOARD."""
+    """The event in words; empty for one that explains nothing. Zeros at the end may be missing."""
+    arguments = arguments.ljust(5, b"\0")
     first = int.from_bytes(arguments[:4], "little")
-    if number in _FAILSAFE and len(arguments) > 4:
+    if number in _FAILSAFE:
         action = arguments[4]
         name = _ACTION[action] if action < len(_ACTION) else f"action {action}"
         return f"failsafe in {px4_mode(first).value}: {name}"

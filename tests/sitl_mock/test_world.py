@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from companion.types import (
     Attitude,
+    BatteryReport,
     CompanionHeartbeat,
+    EstimatorReport,
     Event,
     FlightMode,
     Landed,
@@ -170,7 +172,9 @@ def test_mode_request_is_obeyed_and_the_rest_ignored() -> None:
 def test_telemetry_that_is_never_told() -> None:
     events = fly(World(Scenario(limit_s=3.0, telemetry="none"), 1))
     kinds = {type(e) for e in events}
-    assert kinds == {VehicleHeartbeat, ModeReport, LandedReport, RangeSample, Tick}
+    assert kinds == {
+        VehicleHeartbeat, ModeReport, LandedReport, BatteryReport, EstimatorReport, RangeSample, Tick
+    }  # fmt: skip
 
 
 @given(st.integers(0, 10_000))
