@@ -82,6 +82,8 @@ def fly(
         print("shadow flight: nothing of this was sent to the vehicle")
     print(text(flight.summary))
     print(f"record: {recorder.problem or recorder.name}")
+    if recorder.problem is None:
+        print(f"to look at it: companion report {recorder.name}")
     _write(flight, json_file, png_file)
     return exit_status(final, log)
 

@@ -20,18 +20,25 @@ if TYPE_CHECKING:
 WIDTH_IN, HEIGHT_IN, DPI = 12.4, 7.0, 110
 ARC_STEP_RAD = 0.05
 
-_COLOUR = {
-    Phase.ACQUIRE: "#3a7ebf",
-    Phase.APPROACH: "#d1495b",
-    Phase.HOLD: "#2f9e62",
-    Phase.KEEP: "#2f9e62",
-    Phase.COAST: "#e6a117",
-    Phase.STALL: "#7b5ea7",
-    Phase.HAND_OVER: "#4d4d4d",
+PHASE_COLOURS = {
+    Phase.AWAIT: "#aab4be",
+    Phase.STANDBY: "#6c8ebf",
+    Phase.INHIBITED: "#c08a2b",
+    Phase.ACQUIRE: "#7fb2e5",
+    Phase.APPROACH: "#1d5fa8",
+    Phase.HOLD: "#2f8f5b",
+    Phase.KEEP: "#2f8f5b",
+    Phase.COAST: "#e0a100",
+    Phase.STALL: "#d9622b",
+    Phase.HAND_OVER: "#b3261e",
+    Phase.RELEASED: "#8f7aa8",
+    Phase.ENDED: "#5b6875",
 }
-_OTHER = "#b8bdc4"
-_INK = "#22262b"
-_FAINT = "#8a9099"
+"""Blue: flying; green: there; yellow to red: trouble. The pages use the same."""
+_ACCENT = "#1d5fa8"
+_SECOND = "#b36b00"
+_INK = "#1f2933"
+_FAINT = "#7a8794"
 
 
 class PictureError(Exception):
@@ -159,7 +166,7 @@ def _map(axes: Axes, flight: FlightReport, trail: Sequence[TrailPoint], truth: T
     if start is not None and aim is not None:
         _shortest(axes, start, aim, flight.problem)
     for phase, xs, ys in _runs(trail):
-        axes.plot(xs, ys, color=_COLOUR.get(phase, _OTHER), lw=2.8, solid_capstyle="round", zorder=5)
+        axes.plot(xs, ys, color=PHASE_COLOURS[phase], lw=2.8, solid_capstyle="round", zorder=5)
     if start is not None:
         _start(axes, start)
     axes.set_aspect("equal", adjustable="datalim")
@@ -168,7 +175,7 @@ def _map(axes: Axes, flight: FlightReport, trail: Sequence[TrailPoint], truth: T
     axes.set_ylabel("North, m", color=_INK, fontsize=9)
     _dress(axes)
     for phase in dict.fromkeys(p.phase for p in trail if p.phase.is_engaged):
-        axes.plot([], [], color=_COLOUR.get(phase, _OTHER), lw=2.8, label=phase.value)
+        axes.plot([], [], color=PHASE_COLOURS[phase], lw=2.8, label=phase.value)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8.5, frameon=False, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.085),
                     columnspacing=1.4, handlelength=1.8)  # fmt: skip
@@ -245,9 +252,9 @@ def _distances(axes: Axes, flight: FlightReport, trail: Sequence[TrailPoint]) ->
     sigma = _values([p.distance_sigma_m for p in trail])
     axes.fill_between(
         t, [max(a - 2 * b, 0.0) for a, b in zip(d, sigma, strict=True)],
-        [a + 2 * b for a, b in zip(d, sigma, strict=True)], color="#3a7ebf", alpha=0.22, lw=0,
+        [a + 2 * b for a, b in zip(d, sigma, strict=True)], color=_ACCENT, alpha=0.16, lw=0,
     )  # fmt: skip
-    axes.plot(t, d, color="#1f5a94", lw=1.6, label="distance ± 2σ")
+    axes.plot(t, d, color=_ACCENT, lw=1.6, label="distance ± 2σ")
     axes.axhline(flight.problem.radius_m, color=_INK, lw=0.9, ls=(0, (4, 3)), label="capture radius")
     top = max((v for p in trail for v in (p.range_m, p.distance_m) if v is not None), default=1.0)
     axes.set_ylim(0.0, 1.08 * top)
@@ -260,11 +267,11 @@ def _bearing(axes: Axes, trail: Sequence[TrailPoint]) -> None:
     sigma = [math.degrees(v) for v in _values([p.bearing_sigma_rad for p in trail])]
     low = [max(a - 2 * b, -180.0) for a, b in zip(theta, sigma, strict=True)]
     high = [min(a + 2 * b, 180.0) for a, b in zip(theta, sigma, strict=True)]
-    axes.fill_between(t, low, high, color="#d1495b", alpha=0.2, lw=0)
+    axes.fill_between(t, low, high, color=_ACCENT, alpha=0.16, lw=0)
     for i in range(1, len(theta)):  # no line across the jump from 180° to −180°
         if abs(theta[i] - theta[i - 1]) > 180.0:
             theta[i - 1] = math.nan
-    axes.plot(t, theta, color="#a52f42", lw=1.6, label="bearing ± 2σ, right positive")
+    axes.plot(t, theta, color=_ACCENT, lw=1.6, label="bearing ± 2σ, right positive")
     axes.axhline(0.0, color=_INK, lw=0.6)
     axes.set_ylim(-180.0, 180.0)
     axes.set_yticks((-180, -90, 0, 90, 180))
@@ -274,10 +281,10 @@ def _bearing(axes: Axes, trail: Sequence[TrailPoint]) -> None:
 def _commands(axes: Axes, trail: Sequence[TrailPoint]) -> None:
     t = [p.t_s for p in trail]
     axes.step(
-        t, _values([p.speed_m_s for p in trail]), where="post", color="#2f9e62", lw=1.6, label="speed, m/s"
+        t, _values([p.speed_m_s for p in trail]), where="post", color=_ACCENT, lw=1.6, label="speed, m/s"
     )
     axes.step(
-        t, _values([p.yaw_rate_rad_s for p in trail]), where="post", color="#7b5ea7", lw=1.3,
+        t, _values([p.yaw_rate_rad_s for p in trail]), where="post", color=_SECOND, lw=1.3,
         label="yaw rate, rad/s, left positive",
     )  # fmt: skip
     axes.axhline(0.0, color=_INK, lw=0.6)
@@ -288,8 +295,8 @@ def _commands(axes: Axes, trail: Sequence[TrailPoint]) -> None:
 def _bands(axes: Axes, phases: Sequence[PhaseSpan], first_s: float, last_s: float) -> None:
     for span in phases:
         left, right = max(span.from_s, first_s), min(span.to_s, last_s)
-        if left < right and span.phase in _COLOUR:
-            axes.axvspan(left, right, color=_COLOUR[span.phase], alpha=0.10, lw=0, zorder=0)
+        if left < right and span.phase.is_engaged:
+            axes.axvspan(left, right, color=PHASE_COLOURS[span.phase], alpha=0.10, lw=0, zorder=0)
     axes.set_xlim(first_s, max(last_s, first_s + 1.0))
 
 

@@ -1,15 +1,10 @@
 // The interactive part of a flight's report: map and plots by Plotly, one cursor in time for both.
 "use strict";
 
-const { figures, series } = JSON.parse(document.getElementById("flight").textContent);
+const { figures, series, colours, engaged: steering } = JSON.parse(document.getElementById("flight").textContent);
 const { rows } = series;
 
 const INK = "#1f2933", SOFT = "#7a8794", RULE = "#e6eaee", ACCENT = "#1d5fa8", PALE = "rgba(29,95,168,0.16)";
-const PHASES = {
-  acquire: "#7fb2e5", approach: "#1d5fa8", hold: "#2f8f5b", keep: "#2f8f5b", coast: "#e0a100",
-  stall: "#d9622b", "hand over": "#b3261e",
-};
-const IDLE = "#c3cbd3";
 const REFUSED = [
   ["outlier", "#b3261e", "x"], ["jump", "#b3261e", "cross"], ["absurd", "#b3261e", "square"],
   ["no line of sight", "#e07b00", "triangle-up"], ["stale", "#e07b00", "triangle-left"],
@@ -20,7 +15,7 @@ const STATION = figures.problem.kind === "station", AIM = STATION ? "station" : 
 const FONT = { family: getComputedStyle(document.body).fontFamily, size: 12, color: INK };
 const CONFIG = { responsive: true, displayModeBar: false, showTips: false };
 
-const colour = (phase) => PHASES[phase] ?? IDLE;
+const colour = (phase) => colours[phase];
 const plain = (text) => String(text).replace(/[<>&]/g, (c) => ({ "<": "&lt;", ">": "&gt;", "&": "&amp;" })[c]);
 const known = (...values) => values.every((v) => v !== null && v !== undefined);
 const rad = (deg) => (deg * Math.PI) / 180;
@@ -51,7 +46,7 @@ function moments() {
   const found = [];
   let area = Infinity;
   for (let i = 0; i < rows.t.length && found.length < 6; i++) {
-    if (!hasEstimate(i) || rows.sb[i] > 60 || !(rows.phase[i] in PHASES)) continue;
+    if (!hasEstimate(i) || rows.sb[i] > 60 || !engaged(i)) continue;
     const now = rows.d[i] * rad(rows.sb[i]) * rows.sd[i];
     if (now > 0 && now < area / 3) { area = now; found.push(i); }
   }
@@ -71,7 +66,7 @@ const seconds = (t) => `${t.toFixed(1)} s`;
 
 // ----------------------------------------------------------------------------------------------------- map
 
-const engaged = (i) => rows.phase[i] in PHASES;
+const engaged = (i) => steering.includes(rows.phase[i]);
 const anyEngaged = rows.phase.some((_, i) => engaged(i));
 
 function paths() {
@@ -391,7 +386,7 @@ function plotLayout(limit, narrow) {
     bottom -= gap;
   });
   for (const span_ of figures.phases) {
-    if (!(span_.phase in PHASES)) continue;
+    if (!steering.includes(span_.phase)) continue;
     layout.shapes.push({
       type: "rect", xref: "x", yref: "paper", x0: span_.from_s, x1: span_.to_s, y0: 0, y1: 1, layer: "below",
       fillcolor: colour(span_.phase), opacity: 0.07, line: { width: 0 },
@@ -508,7 +503,7 @@ if (plots) {
   document.getElementById("zoom-flight").onclick = () => zoomTo(flightWindow());
   document.getElementById("zoom-all").onclick = () => zoomTo(wholeWindow());
   for (const line of document.querySelectorAll("tr[data-t]")) line.onclick = () => setTime(Number(line.dataset.t));
-  const last = rows.phase.findLastIndex((phase) => phase in PHASES && phase !== "hand over");
+  const last = rows.phase.findLastIndex((phase) => steering.includes(phase) && phase !== "hand over");
   setTime(rows.t[last < 0 ? rows.t.length - 1 : last]);
 }
 document.documentElement.dataset.drawn = "yes";

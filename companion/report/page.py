@@ -14,12 +14,13 @@ from string import Template
 
 import msgspec
 
-from companion.picture import Truth
+from companion.picture import PHASE_COLOURS, Truth
 from companion.recording import Recording
 from companion.report import flight as figures_of
 from companion.report import series as series_of
 from companion.report.flight import Figures, Flight
 from companion.report.series import Series
+from companion.types import Phase
 
 
 class PageError(Exception):
@@ -31,6 +32,8 @@ class _Data(msgspec.Struct, frozen=True):
 
     figures: Figures
     series: Series
+    colours: dict[str, str]
+    engaged: list[str]
 
 
 def write(path: Path, recording: Recording, truth: Truth | None = None) -> Flight:
@@ -56,7 +59,9 @@ def html(flight: Flight, series: Series, plotly: str) -> str:
     """The page's text. All that was heard from outside is escaped."""
     f = flight.figures
     here = resources.files("companion.report")
-    data = msgspec.json.encode(_Data(f, series)).decode()
+    colours = {phase.value: colour for phase, colour in PHASE_COLOURS.items()}
+    engaged = [phase.value for phase in Phase if phase.is_engaged]
+    data = msgspec.json.encode(_Data(f, series, colours, engaged)).decode()
     thinned = (
         f"Thinned to be quick: {', '.join(series.thinned)}; the figures count all." if series.thinned else ""
     )

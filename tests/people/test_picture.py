@@ -42,7 +42,7 @@ def test_a_flight_is_drawn(tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
     seen = colours(path)
     # the path in the colours of its phases: acquire, approach, hold; and the true target's star
-    for wanted in ((0x3A, 0x7E, 0xBF), (0xD1, 0x49, 0x5B), (0x2F, 0x9E, 0x62), (0xF2, 0xB7, 0x05)):
+    for wanted in ((0x7F, 0xB2, 0xE5), (0x1D, 0x5F, 0xA8), (0x2F, 0x8F, 0x5B), (0xF2, 0xB7, 0x05)):
         assert wanted in seen
 
 
