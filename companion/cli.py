@@ -198,6 +198,18 @@ def _parser() -> argparse.ArgumentParser:
     _zenoh_options(watch)
     cli_watch.watch_options(watch)
 
+    beacons = _command(
+        verbs,
+        "beacons",
+        commands.beacons,
+        "a live table of the sensor network: every beacon and tag, as a vehicle would judge their ranges",
+        cli_watch.BEACONS_EXAMPLES,
+        _EXITS,
+    )
+    _config_options(beacons)
+    _zenoh_options(beacons)
+    cli_watch.beacons_options(beacons)
+
     operator = _command(
         verbs,
         "operator",

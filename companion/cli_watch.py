@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from companion.exits import Exit
-from companion.settings import RangesSettings
+from companion.settings import RangesSettings, Settings
 
 if TYPE_CHECKING:
     from companion.watch.terminal import Screen
@@ -20,6 +20,12 @@ WATCH_EXAMPLES = (
     "companion watch --zenoh-connect tcp/192.168.1.10:7447\n"
     "  companion watch --zenoh-connect tcp/192.168.1.10:7447 --uav uav1 --view plain --seconds 60\n"
     "  companion watch --zenoh-connect tcp/192.168.1.10:7447 --web 8080   # http://127.0.0.1:8080/"
+)
+
+BEACONS_EXAMPLES = (
+    "companion beacons --zenoh-connect tcp/192.168.1.10:7447\n"
+    "  companion beacons --config config/capture.toml --zenoh-connect tcp/192.168.1.10:7447\n"
+    "  companion beacons --zenoh-connect tcp/192.168.1.10:7447 --once --json"
 )
 
 
@@ -72,6 +78,45 @@ def watch(args: argparse.Namespace, settings: RangesSettings) -> int:
                 break
         heard = any(vehicle.message is not None for vehicle in listener.fleet.vehicles())
         return Exit.OK if heard or stop.is_set() else Exit.NO_VEHICLE
+
+
+def beacons_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options, but for the configuration's and Zenoh's."""
+    parser.add_argument("--once", action="store_true", help="listen for --seconds, print one table, end")
+    parser.add_argument("--json", action="store_true", help="JSON objects, one a second (with --once: one)")
+    parser.add_argument(
+        "--seconds", metavar="S", type=float, help="end after this long (default: Ctrl-C; with --once: 3)"
+    )
+
+
+def beacons(args: argparse.Namespace, settings: Settings) -> int:
+    """Watch the sensor network until Ctrl-C. Raises ValueError for what cannot be meant."""
+    from companion.watch.sensors_listen import SensorListener
+    from companion.watch.sensors_view import open_screen
+
+    _check(settings.ranges)
+    is_configured = args.config is not None or any(item.startswith("beacons.") for item in args.set)
+    with ExitStack() as stack:
+        stop = _until_signal(stack)
+        try:
+            listener = SensorListener(settings, settings.beacons if is_configured else None)
+        except OSError as error:
+            print(f"companion: {error}", file=sys.stderr)
+            return Exit.LINK
+        stack.callback(listener.close)
+        screen = open_screen(sys.stdout, args.once, args.json)
+        stack.callback(screen.close)
+        seconds = 3.0 if args.once and args.seconds is None else args.seconds
+        end = time.monotonic() + seconds if seconds is not None else None
+        while True:
+            listener.poll()
+            rows = listener.sensors.rows(time.monotonic_ns())
+            screen.show(rows, listener.missing())
+            left_s = screen.period_s if end is None else min(screen.period_s, end - time.monotonic())
+            if left_s <= 0.0 or stop.wait(left_s):
+                break
+        heard = any(row.range_m is not None for row in rows)
+        return Exit.OK if heard or (stop.is_set() and not args.once) else Exit.NO_RANGES
 
 
 def _screen(args: argparse.Namespace) -> Screen:

@@ -249,6 +249,15 @@ def watch(args: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
 
 
+def beacons(args: argparse.Namespace) -> int:
+    """Look at the sensor network."""
+    loaded = _load(args.config, _link_overrides(args))
+    try:
+        return cli_watch.beacons(args, loaded.config)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
 def operator(args: argparse.Namespace) -> int:
     """The ground side in a script."""
     from companion.ground import GroundLinkError

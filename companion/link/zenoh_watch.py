@@ -41,6 +41,11 @@ class WatchLink:
         """Why there is no session yet."""
         return self._opener.reason
 
+    @property
+    def is_open(self) -> bool:
+        """True once there is a session."""
+        return self._opener.session is not None
+
     def _listen(self, session: zenoh.Session) -> None:
         session.declare_subscriber(self._samples, zenoh.handlers.Callback(self._note, indirect=False))
         session.liveliness().declare_subscriber(

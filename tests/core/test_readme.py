@@ -67,6 +67,9 @@ def test_every_command_runs(command: str, tmp_path: Path) -> None:
         assert run(words) == Exit.OK
     elif words[1] == "check":
         assert run([*words, "--patience", "1"]) == Exit.NOT_READY
+    elif words[1] == "beacons":
+        words = [w.replace("192.168.1.10", "127.0.0.1") for w in words]
+        assert run([*words, "--seconds", "0.3"]) == Exit.NO_RANGES
     elif words[1] == "watch":
         words = [{"8080": "0"}.get(w, w.replace("192.168.1.10", "127.0.0.1")) for w in words]
         assert run([*words, "--seconds", "0.3"]) == Exit.NO_VEHICLE

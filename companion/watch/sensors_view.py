@@ -1,0 +1,198 @@
+"""The sensor network in a terminal: a table, painted in place or once; elsewhere plain lines or JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import IO
+
+import msgspec
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from companion.types import LineOfSight
+from companion.uwb.info import BeaconInfo
+from companion.watch.fleet import Link
+from companion.watch.sensors import BeaconRow
+
+_LINK_STYLE = {Link.LIVE: "green", Link.SILENT: "bold red", Link.GONE: "red"}
+_LOS_STYLE = {LineOfSight.LOS: "green", LineOfSight.NLOS: "yellow", LineOfSight.UNKNOWN: "dim"}
+
+
+class TableScreen:
+    """A table in place, four times a second; it stays when the screen is closed."""
+
+    period_s = 0.25
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._live = Live(console=Console(file=stream, highlight=False), auto_refresh=False)
+        self._live.start()
+
+    def show(self, rows: Sequence[BeaconRow], missing: str) -> None:
+        """Paint. `missing`: what is awaited, '' for nothing."""
+        self._live.update(table(rows, missing), refresh=True)
+
+    def close(self) -> None:
+        """Leave the last picture where it is."""
+        self._live.stop()
+
+
+class LineScreen:
+    """A line of `key=value` a second for each beacon and tag, made for grep."""
+
+    period_s = 1.0
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        self._missing = ""
+
+    def show(self, rows: Sequence[BeaconRow], missing: str) -> None:
+        """A line for each; what is awaited once."""
+        lines = [missing] if missing and missing != self._missing else []
+        self._missing = missing
+        self._stream.write("".join(f"{line}\n" for line in (*lines, *map(beacon_line, rows))))
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Nothing is kept back."""
+
+
+class JsonScreen:
+    """One JSON object a second: `{"missing": …, "beacons": […]}`."""
+
+    period_s = 1.0
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def show(self, rows: Sequence[BeaconRow], missing: str) -> None:
+        """A line."""
+        self._stream.write(msgspec.json.encode({"missing": missing, "beacons": rows}).decode() + "\n")
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Nothing is kept back."""
+
+
+class OnceScreen:
+    """Nothing until it is closed, then what was shown last: a table, or one JSON object."""
+
+    period_s = 0.25
+
+    def __init__(self, stream: IO[str], json: bool) -> None:
+        self._stream = stream
+        self._json = json
+        self._last: tuple[Sequence[BeaconRow], str] = ((), "")
+
+    def show(self, rows: Sequence[BeaconRow], missing: str) -> None:
+        """Keep it."""
+        self._last = (rows, missing)
+
+    def close(self) -> None:
+        """Print; as wide as it needs to be where the stream is no terminal."""
+        if self._json:
+            JsonScreen(self._stream).show(*self._last)
+            return
+        width = None if self._stream.isatty() else 200
+        Console(file=self._stream, highlight=False, width=width).print(table(*self._last))
+
+
+SensorScreen = TableScreen | LineScreen | JsonScreen | OnceScreen
+
+
+def open_screen(stream: IO[str], once: bool, json: bool) -> SensorScreen:
+    """What was asked for: by default the table on a terminal, lines elsewhere."""
+    if once:
+        return OnceScreen(stream, json)
+    if json:
+        return JsonScreen(stream)
+    return TableScreen(stream) if stream.isatty() else LineScreen(stream)
+
+
+def beacon_line(row: BeaconRow) -> str:
+    """One line of `key=value`: the keys and their order do not change; `-` where not known."""
+    fields = (
+        ("beacon", row.beacon),
+        ("tag", row.tag or "-"),
+        ("link", row.link.value),
+        ("alive", "yes" if row.alive else "no"),
+        ("rate_hz", f"{row.rate_hz:.1f}"),
+        ("age_s", _number(row.age_s, 2)),
+        ("range_m", _number(row.range_m, 2)),
+        ("sigma_m", _number(row.sigma_m, 3)),
+        ("los", "-" if row.los is None else row.los.value),
+        ("rssi_dbm", _number(row.rssi_dbm, 1)),
+        ("sessions", str(len(row.sessions))),
+        ("believed", str(row.believed)),
+        ("refused", _counts(row.refused)),
+        ("malformed", _counts(row.malformed)),
+        ("lost", str(row.lost)),
+        ("notes", ";".join(row.notes).replace(" ", "_") or "-"),
+    )
+    return " ".join(f"{key}={value}" for key, value in fields)
+
+
+def table(rows: Sequence[BeaconRow], missing: str) -> RenderableType:
+    """What is awaited, the table, and what is to be said of each."""
+    parts: list[RenderableType] = [Text(missing, style="yellow")] if missing else []
+    if rows:
+        grid = Table(box=None, pad_edge=False, header_style="dim")
+        for name in ("beacon", "tag", "link"):
+            grid.add_column(name, no_wrap=True)
+        for name in ("Hz", "age", "range", "σ"):
+            grid.add_column(name, justify="right", no_wrap=True)
+        grid.add_column("sight", no_wrap=True)
+        for name in ("dBm", "believed"):
+            grid.add_column(name, justify="right", no_wrap=True)
+        for name in ("refused, unreadable, lost", "tells of itself"):
+            grid.add_column(name)
+        for row in rows:
+            grid.add_row(*_cells(row))
+        parts.append(grid)
+    parts += [Text(f"{_name(row)}: {note}", style="yellow") for row in rows for note in row.notes]
+    return Group(*parts)
+
+
+def _name(row: BeaconRow) -> str:
+    return f"{row.beacon} to {row.tag}" if row.tag else row.beacon
+
+
+def _cells(row: BeaconRow) -> list[Text]:
+    link = row.link.value + ("" if row.alive or row.link is Link.GONE else ", no token")
+    bad = {**row.refused, **row.malformed, **({"lost": row.lost} if row.lost else {})}
+    why = ", ".join(f"{reason} {count}" for reason, count in sorted(bad.items()))
+    los = row.los or LineOfSight.UNKNOWN
+    return [
+        Text(row.beacon, style="bold"),
+        Text(row.tag or "–"),
+        Text(link, style=_LINK_STYLE[row.link]),
+        Text(f"{row.rate_hz:.1f}"),
+        Text("–" if row.age_s is None else f"{row.age_s:.2f} s"),
+        Text("–" if row.range_m is None else f"{row.range_m:.2f} m", style="bold"),
+        Text("–" if row.sigma_m is None else f"{row.sigma_m:.3f} m"),
+        Text("–" if row.los is None else los.value, style=_LOS_STYLE[los]),
+        Text("–" if row.rssi_dbm is None else f"{row.rssi_dbm:.0f}"),
+        Text(str(row.believed)),
+        Text(why or "–", style="yellow" if bad else "dim"),
+        Text(_info(row.info), style="dim"),
+    ]
+
+
+def _info(about: BeaconInfo | None) -> str:
+    if about is None:
+        return "nothing"
+    told = (
+        (about.height_m, "height {:g} m"),
+        (about.bias_m, "bias {:g} m"),
+        (about.sigma_m, "σ {:g} m"),
+    )
+    return ", ".join(form.format(value) for value, form in told if value is not None) or "nothing"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ",".join(f"{k.replace(' ', '_')}:{n}" for k, n in sorted(counts.items()) if n) or "-"
