@@ -118,7 +118,7 @@ WITHOUT = {
     "ATTITUDE": "Without a heading the app stands still.",
     "LOCAL_POSITION_NED": "Speed and height are not known.",
     "CURRENT_MODE": "The mode is then known by HEARTBEAT only, up to 1 s late, and the intended mode not "
-    "at all: after a takeover only a restart on the ground lets OFFBOARD be chosen anew.",
+    "at all: started in the air, or after a takeover, the app stays silent until a restart on the ground.",
     "EXTENDED_SYS_STATE": "Whether it stands on the ground is not known.",
     "ESTIMATOR_STATUS": "Whether OFFBOARD can run is not known.",
     "BATTERY_STATUS": "Nobody will notice an empty one.",

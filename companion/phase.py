@@ -142,7 +142,9 @@ def conditions(f: Facts) -> Iterator[Condition]:
     if not inputs or f.ranges in (Ranges.STALE, Ranges.LOST):
         yield Condition.INPUTS_MISSING
     if inputs and fit and f.ranges is Ranges.FRESH:
-        yield Condition.READY
+        # In the air OFFBOARD may still be meant, and a stream would bring it back.
+        if f.intended is not None or f.armed is False or f.grounded:
+            yield Condition.READY
         if offboard and f.armed and not f.grounded:
             yield Condition.ENGAGED
     if f.hand_over_overdue:

@@ -21,6 +21,8 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
         missing.append(f"ATTITUDE on {cfg.vehicle.mavlink}")
     elif cfg.vehicle.setpoint_frame == "local_ned" and s.vehicle.height_m is None:
         missing.append(f"LOCAL_POSITION_NED on {cfg.vehicle.mavlink}")
+    elif s.vehicle.intended is None and s.vehicle.armed and s.vehicle.landed is not Landed.ON_GROUND:
+        missing.append(f"CURRENT_MODE on {cfg.vehicle.mavlink}, or a start on the ground")
     if missing and cfg.mission.shadow and s.vehicle.t_link_ns is not None:
         missing[-1] += ", which a shadow does not ask for: let the autopilot stream it"
     missing.extend(_unfit(p, s, t_ns))

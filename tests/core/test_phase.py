@@ -108,6 +108,7 @@ def test_no_combination_of_facts_leads_to_a_speed_or_a_stream_that_is_not_allowe
         if to.to_standby:  # another mode is known to be meant, and nothing speaks against a flight
             assert f.actual is not OFFBOARD
             assert f.intended is not OFFBOARD
+            assert f.intended is not None or not f.armed or f.grounded
             assert f.company is Company.NOBODY
             assert not (f.battery_low or f.estimate_invalid)
 

@@ -109,13 +109,28 @@ def test_after_a_takeover_a_flick_of_the_switch_engages_anew() -> None:
 
 def test_an_autopilot_that_does_not_tell_the_intended_mode_is_not_streamed_to_again() -> None:
     script = Script()
-    script.tells_mode = False
-    before = engaged(script)
+    script.tells_mode = script.armed = False
+    ready = fly(script.run(2.0))
+    script.armed, script.actual = True, OFFBOARD
+    before = fly(script.run(1.0), before=ready)
     assert before.state.phase.is_engaged
     script.actual = LOITER
     after = fly(script.run(5.0), before=before)
     assert after.state.phase is Phase.RELEASED
     assert not setpoints(after)[-1:] or setpoints(after)[-1].t_ns < (script.t_ms - 3000) * MS
+
+
+def test_started_in_mid_air_it_stays_silent_until_it_knows_that_offboard_is_not_meant() -> None:
+    script = Script()
+    script.tells_mode = False  # HEARTBEAT says Hold: the failsafe after a crash
+    flown = fly(script.run(3.0))
+    assert flown.state.phase is Phase.AWAIT
+    assert not setpoints(flown)
+    assert "CURRENT_MODE" in last_status(flown).awaited[0]
+    script.tells_mode, script.intended = True, OFFBOARD
+    told = fly(script.run(1.0), before=flown)
+    assert told.state.phase is Phase.INHIBITED
+    assert not setpoints(told)
 
 
 def test_started_in_mid_air_in_offboard_it_stays_silent() -> None:
