@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import difflib
 import hashlib
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -124,7 +125,33 @@ def contradictions(c: Settings) -> list[str]:
         for small, low, large, high in pairs
         if low > high
     ]
+    if c.mission.kind == "capture" and c.mission.target in c.beacons:
+        problems += _capture_contradictions(c)
     return problems
+
+
+def _capture_contradictions(c: Settings) -> Iterable[str]:
+    """A disc whose edge cannot be told from its middle, or that the vehicle cannot stop inside."""
+    g, v, target = c.guidance, c.vehicle, c.mission.target
+    beacon, radius_m = c.beacons[target], g.capture_radius_m
+    # A height that the beacon tells itself is not known yet: then the range alone is held against the radius.
+    above_m = 0.0 if beacon.height_m is None else abs(v.height_m - beacon.height_m)
+    slant_m = math.hypot(radius_m, above_m)
+    told_m = math.hypot(slant_m * beacon.sigma_m, above_m * v.height_sigma_m) / radius_m
+    if told_m > radius_m:
+        yield (
+            f"guidance.capture_radius_m = {radius_m:g}: {above_m:g} m above {target} the horizontal distance "
+            f"is known to {told_m:.2f} m only (beacons.{target}.sigma_m = {beacon.sigma_m:g}, "
+            f"vehicle.height_sigma_m = {v.height_sigma_m:g}): take a larger radius, or fly closer to the "
+            "beacon's height"
+        )
+    overrun_m = g.speed_m_s * (v.velocity_lag_s + v.response_delay_s)
+    if overrun_m > 2.0 * radius_m:
+        yield (
+            f"guidance.speed_m_s = {g.speed_m_s:g}: the vehicle coasts {overrun_m:.2f} m before it stands "
+            "(vehicle.velocity_lag_s, response_delay_s), further than the disc of "
+            f"guidance.capture_radius_m = {radius_m:g} is wide: fly slower, or take a larger radius"
+        )
 
 
 def _station_contradictions(c: Settings, known: str) -> list[str]:

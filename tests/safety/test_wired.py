@@ -118,7 +118,7 @@ def test_the_command_says_ready_or_not_and_speaks_json() -> None:
         status, out, err = checked(mock, "--json")
         assert status == Exit.OK, out + err
         assert json.loads(out)["ready"] is True
-        status, out, err = checked(mock, "--set", "mission.target='b9'", "--set", "beacons.b9.height_m=0")
+        status, out, err = checked(mock, "--set", "mission.target='b9'", "--set", "beacons.b9.height_m=1.5")
     assert status == Exit.NOT_READY
     assert "no range on uwb/v1/lab/b9/*/range" in out
     assert "NOT READY: 1 to mend" in out
