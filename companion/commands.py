@@ -321,22 +321,40 @@ def design(args: argparse.Namespace) -> int:
 
 def bench_guidance(args: argparse.Namespace) -> int:
     """Compare guidance schemes."""
+    from companion.bench import guidance, station
     from companion.bench.cases import CASES
-    from companion.bench.guidance import CONTENDERS, as_json, table
-    from companion.bench.guidance import bench_guidance as measure
 
-    settings = _load(args.config, args.set).config.guidance
-    cases, schemes = args.case or tuple(CASES), args.scheme or tuple(CONTENDERS)
+    config = _load(args.config, args.set).config
+    asked = args.case or ()
+    try:
+        (cases, schemes), stations = station.chosen(
+            asked, args.scheme or (), tuple(CASES), tuple(guidance.CONTENDERS)
+        )
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    layouts = args.runs if asked else min(args.runs, station.MOST_UNASKED)
+    capture = kept = None
     with _Progress("flights", quiet=args.json) as progress:
-        try:
-            report = measure(cases, schemes, args.runs, args.seed, progress.told, settings)
-        except ValueError as error:
-            raise UsageError(str(error)) from error
-    print(json.dumps(as_json(report), indent=2) if args.json else table(report))
+        if cases:
+            capture = guidance.bench_guidance(
+                cases, schemes, args.runs, args.seed, progress.told, config.guidance
+            )
+        if stations[0]:
+            kept = station.bench_station(
+                *stations, layouts, args.seed, progress.told, config.guidance, config.station
+            )
+    if args.json:
+        told = {} if capture is None else guidance.as_json(capture)
+        print(json.dumps(told if kept is None else told | {"station": station.as_json(kept)}, indent=2))
+    else:
+        tables = [] if capture is None else [guidance.table(capture)]
+        print("\n\n".join(tables if kept is None else [*tables, station.table(kept)]))
     if args.plots is not None:
         from companion.bench.pictures import plots
+        from companion.bench.station_pictures import station_plots
 
-        for path in plots(report, args.plots):
+        written = [] if capture is None else plots(capture, args.plots)
+        for path in written if kept is None else [*written, *station_plots(kept, args.plots)]:
             print(f"wrote {path}", file=sys.stderr)
     return Exit.OK
 

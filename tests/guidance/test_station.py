@@ -9,14 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.guidance.model import shortest_path_m
+from companion.bench.station_plant import Air, Field, Stayed, bound_m, fly, random_field
 from companion.guidance.scheme import Scheme
 from companion.guidance.settings import GuidanceSettings
 from companion.guidance.station import Mode, Problem, Station, station
 from companion.guidance.station_settings import StationSettings
 
-from .station_plant import Air, Field, Stayed, fly, random_field
-
+SHORT = Air(limit_s=150.0, hold_s=30.0)
 SQUARE = Field((12.0, 5.0), ((18.0, 4.0), (9.0, 10.0), (10.0, 0.0), (6.0, 3.0)))
 TRIANGLE = SQUARE._replace(beacons=SQUARE.beacons[:3])
 
@@ -38,14 +37,12 @@ def flights(count: int, seed: int, air: Air) -> tuple[list[Stayed], list[float]]
         field = random_field(rng)
         air = air._replace(drift_azimuth_rad=rng.uniform(-math.pi, math.pi))
         flown.append(fly(scheme_for(field), field, seed * 1000 + k, air))
-        sx, sy = field.station
-        bound = shortest_path_m(math.hypot(sx, sy), -math.atan2(sy, sx), air.radius_m, 0.5, 1.0)
-        ratios.append(flown[-1].path_m / bound)
+        ratios.append(flown[-1].path_m / bound_m(field, air, 0.5, 1.0))
     return flown, ratios
 
 
 def test_it_arrives_and_stays_from_anywhere() -> None:
-    flown, ratios = flights(20, 1, Air())
+    flown, ratios = flights(10, 1, SHORT)
     assert all(f.worst_m <= 0.3 for f in flown), [f[:4] for f in flown]
     assert np.median(ratios) <= 1.12
     assert max(ratios) <= 2.5
@@ -53,25 +50,25 @@ def test_it_arrives_and_stays_from_anywhere() -> None:
 
 
 def test_it_arrives_and_stays_against_an_unknown_drift() -> None:
-    flown, _ = flights(20, 2, Air(drift_m_s=0.2))
+    flown, _ = flights(10, 2, SHORT._replace(drift_m_s=0.2))
     assert all(f.worst_m <= 0.3 for f in flown), [f[:4] for f in flown]
     assert math.sqrt(np.mean([f.rms_m**2 for f in flown])) <= 0.11
 
 
 def test_a_beacon_lost_on_the_way_leaves_enough() -> None:
-    flight = fly(scheme_for(SQUARE), SQUARE, 5, Air(), heard=lambda i, t: i != 1 or t < 8.0)
+    flight = fly(scheme_for(SQUARE), SQUARE, 5, SHORT, heard=lambda i, t: i != 1 or t < 8.0)
     assert flight.worst_m <= 0.3
 
 
 def test_a_beacon_that_comes_late_is_placed() -> None:
-    flight = fly(scheme_for(SQUARE), SQUARE, 6, Air(), heard=lambda i, t: i != 1 or t > 10.0)
+    flight = fly(scheme_for(SQUARE), SQUARE, 6, SHORT, heard=lambda i, t: i != 1 or t > 10.0)
     assert flight.worst_m <= 0.3
     assert state_of(flight).beacons[1].located
 
 
 def test_many_beacons() -> None:
     field = random_field(random.Random(7), 12)
-    assert fly(scheme_for(field), field, 7, Air(drift_m_s=0.1)).worst_m <= 0.3
+    assert fly(scheme_for(field), field, 7, SHORT._replace(drift_m_s=0.1)).worst_m <= 0.3
 
 
 def test_fewer_than_three_beacons_are_refused() -> None:
@@ -87,7 +84,7 @@ def test_too_few_heard_beacons_are_named_and_nothing_moves() -> None:
         8,
         Air(limit_s=10.0),
         heard=lambda i, t: i != 2,
-        watch=lambda t, d, v, omega: speeds.append(v),
+        watch=lambda m: speeds.append(m.v_m_s),
     )
     assert state_of(flight).problem == Problem.TOO_FEW
     assert max(speeds) == 0.0
@@ -108,7 +105,7 @@ def test_all_beacons_gone_at_the_station_stops_the_vehicle() -> None:
         10,
         Air(limit_s=90.0, hold_s=60.0, drift_m_s=0.1),
         heard=lambda i, t: t < 60.0,
-        watch=lambda t, d, v, omega: speeds.append(v) if t > 65.0 else None,
+        watch=lambda m: speeds.append(m.v_m_s) if m.t_s > 65.0 else None,
     )
     assert state_of(flight).mode == Mode.KEEP
     assert state_of(flight).problem == Problem.TOO_FEW
@@ -122,7 +119,7 @@ def test_a_vehicle_that_cannot_stop_circles_closely() -> None:
         TRIANGLE,
         11,
         Air(limit_s=120.0, hold_s=120.0),
-        watch=lambda t, d, v, omega: seen.append((t, d, v)),
+        watch=lambda m: seen.append((m.t_s, m.d_m, m.v_m_s)),
     )
     assert all(v == 0.5 for _, _, v in seen)
     late = [d for t, d, _ in seen if t > 80.0]
@@ -131,7 +128,7 @@ def test_a_vehicle_that_cannot_stop_circles_closely() -> None:
 
 
 def test_the_mirror_image_is_flown_as_the_mirror_image() -> None:
-    quiet = Air(sigma_m=1e-6, dropout=0.0, reflected=0.0)
+    quiet = SHORT._replace(sigma_m=1e-6, dropout=0.0, reflected=0.0)
     mirrored = Field((TRIANGLE.station[0], -TRIANGLE.station[1]), tuple((x, -y) for x, y in TRIANGLE.beacons))
     flown = []
     for field, turn in ((TRIANGLE, "left"), (mirrored, "right")):
@@ -143,5 +140,5 @@ def test_the_mirror_image_is_flown_as_the_mirror_image() -> None:
 
 
 def test_the_same_flight_twice_is_the_same() -> None:
-    one, other = (fly(scheme_for(TRIANGLE), TRIANGLE, 13, Air(limit_s=30.0)) for _ in range(2))
+    one, other = (fly(scheme_for(TRIANGLE), TRIANGLE, 13, SHORT._replace(limit_s=30.0)) for _ in range(2))
     assert one == other

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
+from companion.bench.station_plant import Air, Field, fly, random_field
 from companion.guidance import model
 from companion.guidance.scheme import STAY
 from companion.guidance.station_paper import (
@@ -20,8 +21,6 @@ from companion.guidance.station_paper import (
     station_paper,
     steer,
 )
-
-from .station_plant import Air, Field, fly, random_field
 
 IDEAL = Air(dropout=0.0, reflected=0.0, yaw_rate_lag_s=1e-3, speed_lag_s=1e-3, limit_s=120.0, hold_s=0.1)
 
