@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from threading import Event, Thread
 
@@ -28,10 +28,11 @@ def is_client(settings: RangesSettings) -> bool:
     return not settings.listen and len(settings.connect) == 1
 
 
-def zenoh_config(settings: RangesSettings) -> zenoh.Config:
+def zenoh_config(settings: RangesSettings, caps_hz: Mapping[str, float] | None = None) -> zenoh.Config:
     """An explicit configuration: nothing listens, connects or scouts that is not named in it.
 
-    A peer's endpoints that do not answer yet are tried again for ever, 0.1 to 0.5 s apart.
+    A peer's endpoints that do not answer yet are tried again for ever, 0.1 to 0.5 s apart. `caps_hz`: of what
+    comes on a key expression Zenoh itself lets no more through, whatever is sent.
     Raises CredentialsError where `ranges.tls` and the endpoints let nobody in, or everybody.
     """
     client = is_client(settings)
@@ -50,6 +51,12 @@ def zenoh_config(settings: RangesSettings) -> zenoh.Config:
             "gossip": {"enabled": settings.multicast_scouting},
         },
     }
+    if caps_hz:
+        # One rule for each: of a rule's keys together no more than its rate passes.
+        config["downsampling"] = [
+            {"flows": ["ingress"], "messages": ["put", "delete"], "rules": [{"key_expr": key, "freq": hz}]}
+            for key, hz in caps_hz.items()
+        ]
     if problems := credentials.contradictions(settings):
         raise credentials.CredentialsError("; ".join(problems))
     if settings.tls:
@@ -74,12 +81,17 @@ class Opener:
     `opened` is called with the session, in that thread.
     """
 
-    def __init__(self, settings: RangesSettings, opened: Callable[[zenoh.Session], None]) -> None:
+    def __init__(
+        self,
+        settings: RangesSettings,
+        opened: Callable[[zenoh.Session], None],
+        caps_hz: Mapping[str, float] | None = None,
+    ) -> None:
         """Raises CredentialsError; zenoh.ZError where a peer's endpoint is malformed or cannot be used."""
         self.session: zenoh.Session | None = None
         self.reason = ""
         """Why there is no session yet."""
-        self._config = zenoh_config(settings)
+        self._config = zenoh_config(settings, caps_hz)
         self._hint = _TLS_HINT if settings.tls else ""
         self._opened = opened
         self._closing = Event()
