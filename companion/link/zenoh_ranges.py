@@ -1,9 +1,9 @@
 """Ranges over Zenoh, as events. The callbacks only note what came and when; everything else is the loop's.
 
 Each beacon (or wildcard, or ROS 2 topic) has a door of its own: a short backlog of which the newest are kept,
-and a rate beyond which they are dropped before anybody reads them. Zenoh itself lets five times that rate
-through and no more: a callback into Python costs tens of microseconds, and a flood would hold up everybody
-behind it (measured: 15,000 ranges of one beacon in 0.4 s made another's 0.7 s late, and 0.6 ms so).
+and a rate beyond which they are dropped before anybody reads them. Of one beacon Zenoh itself lets
+five times that rate through and no more: a callback into Python costs tens of microseconds, and a flood would
+hold up everybody behind it (measured: 15,000 ranges of a beacon in 0.4 s made another's 0.7 s late; 0.6 ms so).
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ class Door:
         self, key: str, max_rate_hz: float, is_for_many: bool, to_event: Callable[[Raw], Event]
     ) -> None:
         self.key = key
+        self.is_for_many = is_for_many
         self._to_event = to_event
         self._most = _BACKLOG * (_MANY if is_for_many else 1)
         self._raw: deque[Raw] = deque(maxlen=self._most)
@@ -59,11 +60,6 @@ class Door:
         self._dropped = 0
         self._told = 0
         self._told_t_ns = 0
-
-    @property
-    def cap_hz(self) -> float:
-        """More than this Zenoh need not let through."""
-        return _FLOOD * self._max_rate_hz
 
     def note(self, raw: Raw) -> None:
         """In Zenoh's thread."""
@@ -123,7 +119,9 @@ class RangeLink:
             self._doors.append(Door(key, settings.max_rate_hz, "*" in topic.topic, to_event))
         for door in self._doors:
             zenoh.KeyExpr(door.key)  # raises here, not in the thread that opens the session
-        self._opener = Opener(settings, self._listen, {door.key: door.cap_hz for door in self._doors})
+        # Not with a wildcard: a module tells several beacons at once, and Zenoh would let through the first.
+        caps_hz = {d.key: _FLOOD * settings.max_rate_hz for d in self._doors if not d.is_for_many}
+        self._opener = Opener(settings, self._listen, caps_hz)
 
     def _listen(self, session: zenoh.Session) -> None:
         # Not indirect: a thread and its unbounded queue less between the wire and the loop.
