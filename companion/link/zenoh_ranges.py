@@ -1,9 +1,9 @@
 """Ranges over Zenoh, as events. The callbacks only note what came and when; everything else is the loop's.
 
 Each beacon (or wildcard, or ROS 2 topic) has a door of its own: a short backlog of which the newest are kept,
-and a rate beyond which they are dropped before anybody reads them. Of one beacon Zenoh itself lets
-five times that rate through and no more: a callback into Python costs tens of microseconds, and a flood would
-hold up everybody behind it (measured: 15,000 ranges of a beacon in 0.4 s made another's 0.7 s late; 0.6 ms so).
+and a rate beyond which they are dropped before anybody reads them. Of a single beacon Zenoh itself lets five
+times that rate through and no more: a callback into Python costs tens of microseconds, and a flood would hold
+up everybody behind it (measured: 15,000 ranges of one in 0.4 s made another's 0.7 s late, and 0.6 ms so).
 """
 
 from __future__ import annotations
