@@ -115,7 +115,7 @@ def warnings(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
     """What a person should know of ranges and vehicle, a line each."""
     told = [b.contradiction for b in s.ranging.beacons.values() if b.contradiction]
     told.extend(
-        f"two publishers of {beacon}: session {t.session[:16]} is believed, {t.rival[:16]} is not"
+        f"two publishers of {beacon}: session {t.session[:16]!r} is believed, {t.rival[:16]!r} is not"
         for beacon, t in s.ranging.tracks.items()
         if t.rival and age_s(t.rival_t_ns, t_ns) < _RIVAL_S
     )

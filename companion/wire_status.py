@@ -75,7 +75,7 @@ def decode(payload: bytes) -> StatusMessage:
     except RecursionError:  # nested a thousand deep in a field that nobody reads
         raise ValueError("nested too deeply") from None
     s = message.status
-    for text in (message.target, s.reason, *s.awaited, *s.rejected, *s.malformed, *s.beacons):
+    for text in (message.target, s.reason, *s.awaited, *s.warnings, *s.rejected, *s.malformed, *s.beacons):
         if not text.isprintable():
             raise ValueError(f"a text holds control characters: {text[:40]!r}")
     return message

@@ -104,11 +104,12 @@ class GroundStation:
 def values(s: Status, radius_m: float) -> dict[str, float]:
     """What is plotted, by name (at most 10 characters); what is not known is left out.
 
-    `range_m` slant; `bear_deg` positive to the right, `sigma_deg` its standard deviation; `togo_m` the
-    estimated horizontal distance to the radius around target or station, 0 inside it.
+    `range_m` slant, where there is one beacon; `bear_deg` positive to the right, `sigma_deg` its standard
+    deviation; `togo_m` the estimated horizontal distance to the radius around target or station, 0 inside it.
     """
     known = {}
-    if s.range_m is not None and s.range_age_s is not None and s.range_age_s <= FRESH_S:
+    is_fresh = s.range_age_s is not None and s.range_age_s <= FRESH_S
+    if s.range_m is not None and is_fresh and not s.beacons:
         known["range_m"] = s.range_m
     if (e := s.estimate) is not None:
         known["bear_deg"] = math.degrees(e.bearing_rad)

@@ -93,9 +93,9 @@ class Histories:
 
 
 def row_of(vehicle: Vehicle, message: StatusMessage) -> Row:
-    """A status as a row; a range older than a second is none."""
+    """A status as a row; a range older than a second is none, nor are those of several beacons in turn."""
     s, e = message.status, message.status.estimate
-    fresh = s.range_age_s is not None and s.range_age_s < 1.0
+    fresh = s.range_age_s is not None and s.range_age_s < 1.0 and not s.beacons
     return Row(
         t_s=round((s.t_ns - vehicle.t0_ns) * 1e-9, 3),
         phase=s.phase.value,

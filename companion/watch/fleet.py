@@ -30,11 +30,6 @@ class Link(Enum):
     GONE = "gone"
     """Its app has ended, or is out of reach."""
 
-    @property
-    def is_there(self) -> bool:
-        """True unless it is gone."""
-        return self is not Link.GONE
-
 
 @dataclass(slots=True)
 class Vehicle:

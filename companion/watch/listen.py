@@ -9,7 +9,7 @@ from companion import wire_status
 from companion.link.zenoh_watch import WatchLink
 from companion.settings import RangesSettings
 from companion.types import PhaseChange
-from companion.watch.fleet import Fleet, Vehicle
+from companion.watch.fleet import Fleet, Link, Vehicle
 from companion.wire_status import StatusMessage, alive_key, status_key
 
 
@@ -44,16 +44,20 @@ class Listener:
 
     def missing(self) -> str:
         """What is awaited, and from where; '' where some vehicle is heard or at least there."""
-        vehicles = self.fleet.vehicles()
-        if vehicles and any(v.link(time.monotonic_ns()).is_there for v in vehicles):
+        links = {v.link(time.monotonic_ns()) for v in self.fleet.vehicles()}
+        if Link.LIVE in links:
             return ""
         if not self._link.connected():
-            reason = self._link.reason
-            told = f": {reason}" if reason and not reason.startswith("Unable to connect") else ""
-            return f"awaiting a router or a vehicle on {self._endpoints}: nobody answers there yet{told}"
-        if vehicles:
+            return f"awaiting a router or a vehicle on {self._endpoints}: nobody answers there{self._why()}"
+        if Link.SILENT in links:
+            return ""
+        if links:
             return f"every vehicle is gone; awaiting one on {status_key(self._uav)}"
         return f"connected; awaiting a vehicle: nothing on {status_key(self._uav)} yet"
+
+    def _why(self) -> str:
+        reason = self._link.reason
+        return f": {reason}" if reason and not reason.startswith("Unable to connect") else ""
 
     def close(self) -> None:
         """Leave the network."""

@@ -100,7 +100,8 @@ function facts() {
   if (!vehicle) return;
   $("name").textContent = vehicle.uav;
   $("reason").textContent = s ? `${s.phase}: ${s.reason}` : "nothing readable heard yet";
-  $("awaited").replaceChildren(...(s?.awaited ?? []).map((what) => Object.assign(document.createElement("li"), { textContent: `awaiting ${what}` })));
+  const lines = [...(s?.awaited ?? []).map((what) => `awaiting ${what}`), ...(s?.warnings ?? [])];
+  $("awaited").replaceChildren(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
   const rows = [];
   if (s) {
     const e = s.estimate, old = (limit, value) => (value === null || value > limit ? "bad" : "");

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from companion import wire_range
 from companion.link.zenoh_watch import WatchLink
 from companion.settings import BeaconSettings, Settings
+from companion.watch.fleet import Link
 from companion.watch.sensors import Sensors
 
 _ASK_S = 5.0
@@ -41,10 +42,13 @@ class SensorListener:
 
     def missing(self) -> str:
         """What is awaited, and from where; '' where any beacon is there."""
-        if any(row.link.is_there for row in self.sensors.rows(time.monotonic_ns())):
+        links = {row.link for row in self.sensors.rows(time.monotonic_ns())}
+        if Link.LIVE in links:
             return ""
         if not self._link.connected():
-            return f"awaiting a router or a beacon on {self._endpoints}: nobody answers there yet"
+            return f"awaiting a router or a beacon on {self._endpoints}: nobody answers there"
+        if Link.SILENT in links:
+            return ""
         return f"connected; awaiting ranges: nothing on {self._key}"
 
     def close(self) -> None:

@@ -138,9 +138,7 @@ def screen(fleet: Fleet, missing: str, now_ns: int) -> RenderableType:
     if len(vehicles) == 1 and vehicles[0].message is not None and vehicles[0].link(now_ns) is Link.LIVE:
         parts.append(panel(vehicles[0].message.status, vehicles[0].t0_ns))
     else:
-        parts += [
-            Text(f"{v.uav} awaits {awaited}", style="yellow") for v in vehicles for awaited in _awaited(v)
-        ]
+        parts += [Text(f"{v.uav} {line}", style="yellow") for v in vehicles for line in _lines(v)]
     parts += [
         Text(f"{v.uav}: {v.unreadable} unreadable: {v.problem}", style="red") for v in vehicles if v.problem
     ]
@@ -149,8 +147,12 @@ def screen(fleet: Fleet, missing: str, now_ns: int) -> RenderableType:
     return Group(*parts)
 
 
-def _awaited(vehicle: Vehicle) -> tuple[str, ...]:
-    return () if vehicle.message is None else vehicle.message.status.awaited
+def _lines(vehicle: Vehicle) -> list[str]:
+    """What a person should know besides the table."""
+    if vehicle.message is None:
+        return []
+    s = vehicle.message.status
+    return [f"awaits {awaited}" for awaited in s.awaited] + [f"warns: {warning}" for warning in s.warnings]
 
 
 def _table(vehicles: list[Vehicle], now_ns: int) -> Table:

@@ -50,7 +50,7 @@ def test_a_second_publisher_is_named_counted_and_not_believed() -> None:
         if isinstance(event, RangeSample):
             both.append(replace(event, t_ns=event.t_ns + 5 * MS, session="intruder", range_m=4.0))
     flown = fly(both, before=flown)
-    assert warnings(flown) == ("two publishers of b1: session s is believed, intruder is not",)
+    assert warnings(flown) == ("two publishers of b1: session 's' is believed, 'intruder' is not",)
     assert flown.state.ranging.rejected == {Verdict.SECOND_PUBLISHER: 20}
     assert flown.state.ranging.range_m == 10.0
     assert warnings(fly(script.run(6.0), before=flown)) == ()

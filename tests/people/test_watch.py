@@ -98,6 +98,7 @@ def test_changes_of_phase_are_told_and_losses_counted_but_not_over_a_restart() -
         (b"\xff", "malformed"),
         (b"{}", "session"),
         (message(status(reason="\x1b[2J")), "control characters"),
+        (message(status(warnings=("\x1b[2J",))), "control characters"),
         (message(status(rejected={"\x9b31m": 1})), "control characters"),
         (message(status()).replace(b'"approach"', b'"fly\\u001b"'), "invalid enum value"),
         (message(status()).replace(b"5.3", b"1e999"), "out of range"),
