@@ -33,8 +33,8 @@ from companion.types import (
 
 HAPPENINGS = 500
 """Lines of the story kept; more than that no one reads."""
-_NEXT_SETPOINT_S = 0.2
-"""A setpoint that leaves later than this after a range is not its answer."""
+_STREAM_NS = 200_000_000
+"""Where no setpoint left for longer than this, none is streamed: a range has no answer."""
 
 
 class Happening(msgspec.Struct, frozen=True, gc=False):
@@ -144,7 +144,8 @@ def of(recording: Recording) -> Flight:
     ending = "the record ends in mid-flight" if cut else told.summary.ending
     first_ns = recording.steps[0].event.t_ns if recording.steps else 0
     zero_ns = summary.axis_begin_ns(log) or first_ns
-    ranges = _with_least_transport(tuple(_ranges(recording, zero_ns)))
+    in_time = sorted(_ranges(recording, zero_ns), key=lambda r: r.t_s)
+    ranges = _with_least_transport(tuple(in_time))
     began = recording.start.unix_of(first_ns) if recording.steps else recording.start.unix_ns
     figures = Figures(
         file=recording.name,
@@ -243,8 +244,9 @@ def _leaves(value: object, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _ranges(recording: Recording, zero_ns: int) -> Iterator[RangeMark]:
-    """Every range with its verdict and, where it was believed, how long its setpoint took."""
+    """Every range with its verdict and, where setpoints were streamed, how long its own took."""
     waiting: list[tuple[int, RangeMark]] = []
+    streamed_ns: int | None = None
     for step in recording.steps:
         event, t_ns = step.event, step.event.t_ns
         if isinstance(event, RangeSample):
@@ -258,22 +260,25 @@ def _ranges(recording: Recording, zero_ns: int) -> Iterator[RangeMark]:
                 answer_s=None,
                 transport_s=None if sent_ns is None else (recording.start.unix_of(t_ns) - sent_ns) * 1e-9,
             )
-            waiting.append((t_ns, mark))
+            streaming = streamed_ns is not None and t_ns - streamed_ns <= _STREAM_NS
+            if streaming and verdict is Verdict.ACCEPTED:
+                waiting.append((t_ns, mark))
+            else:
+                yield mark
         for output, delay_s in zip(step.outputs, step.delays_s, strict=True):
             if isinstance(output, Setpoint):
+                streamed_ns = t_ns
                 yield from _answered(waiting, t_ns, delay_s)
                 waiting.clear()
-        while waiting and t_ns - waiting[0][0] > _NEXT_SETPOINT_S * 1e9:
+        while waiting and t_ns - waiting[0][0] > _STREAM_NS:
             yield waiting.pop(0)[1]
     yield from (mark for _, mark in waiting)
 
 
 def _answered(waiting: list[tuple[int, RangeMark]], t_ns: int, delay_s: float) -> Iterator[RangeMark]:
-    """A setpoint answers every range believed since the one before."""
+    """A setpoint answers every range believed since the one before; 0: no clock was read."""
     for came_ns, mark in waiting:
-        believed = mark.verdict is Verdict.ACCEPTED
-        told = believed and delay_s > 0.0  # 0: no clock was read
-        yield mark._replace(answer_s=(t_ns - came_ns) * 1e-9 + delay_s if told else None)
+        yield mark._replace(answer_s=(t_ns - came_ns) * 1e-9 + delay_s if delay_s > 0.0 else None)
 
 
 def _with_least_transport(ranges: tuple[RangeMark, ...]) -> tuple[RangeMark, ...]:

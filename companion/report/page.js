@@ -32,9 +32,9 @@ const hasEstimate = (i) => known(rows.x[i], rows.y[i], rows.heading[i], rows.d[i
 
 /** The 2σ region of row i: the ellipse in distance and bearing, drawn on the map, where it is bent. */
 function region(i) {
-  const x = [], y = [], wide = Math.min(2 * rows.sb[i], 180), deep = 2 * rows.sd[i];
-  for (let k = 0; k <= 72; k++) {
-    const phi = (2 * Math.PI * k) / 72;
+  const x = [], y = [], wide = Math.min(2 * rows.sb[i], 180), deep = 2 * rows.sd[i], points = 240;
+  for (let k = 0; k <= points; k++) {
+    const phi = (2 * Math.PI * k) / points;
     const [px, py] = target(i, Math.max(deep * Math.cos(phi), -rows.d[i]), wide * Math.sin(phi));
     x.push(px); y.push(py);
   }
@@ -187,7 +187,8 @@ const SYMBOLS = { circle: "○", star: "★", "x-thin": "✕", "triangle-up": "�
 
 /** What is what on the map, in HTML, so that it takes the room that it needs on any screen. */
 function drawKey(traces) {
-  const shown = traces.filter((t) => t.name && t.showlegend !== false);
+  const drawn = (t) => t.x.length > 0 || (MOVING.includes(t) && rows.d.some(known));
+  const shown = traces.filter((t) => t.name && t.showlegend !== false && drawn(t));
   document.getElementById("key").replaceChildren(...shown.map((t) => {
     const item = document.createElement("li"), swatch = document.createElement("span");
     if (t.mode === "markers") {
@@ -346,6 +347,14 @@ function span(lines, [from, to], least) {
   return [low - room, high + room];
 }
 
+/** Whole decades around these values, at least two of them: a range of a logarithmic axis. */
+function decades(values) {
+  const positive = values.filter((v) => v > 0);
+  if (!positive.length) return [-1, 1];
+  const low = Math.floor(Math.log10(positive.reduce((a, b) => Math.min(a, b))));
+  return [Math.max(low, -2), Math.max(Math.ceil(Math.log10(top_(positive))), low + 2)];
+}
+
 function plotLayout(limit, narrow) {
   const window_ = flightWindow(), total = ROWS.reduce((sum, row) => sum + row.share, 0), gap = narrow ? 0.05 : 0.036;
   const usable = 1 - gap * (ROWS.length - 1);
@@ -362,7 +371,7 @@ function plotLayout(limit, narrow) {
   const ranges = [
     [-0.5, 0.5], [0, 1.05 * limit], [-185, 185], span([series.speed_flown, series.speed_asked], window_, 0.05),
     span([series.yaw_flown, series.yaw_asked], window_, 3), span([series.height_flown, series.height_asked], window_, 0.3),
-    null,
+    decades([...series.transports.ms, ...series.answers.ms]),
   ];
   let bottom = 1;
   ROWS.forEach((row, i) => {

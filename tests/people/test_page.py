@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -12,9 +13,10 @@ from companion.record import FlightWriter
 from companion.recording import Recording, read
 from companion.report import page as pages
 from companion.report.flight import Figures
-from companion.types import Phase, RangeSample, RangeVerdict, Setpoint, Status, Verdict
+from companion.types import Phase, RangeSample, RangeVerdict, Setpoint, Status, Tick, Verdict
 from tests.people.browser import Browser, Page
-from tests.record.flights import flown, start
+from tests.people.flights import status
+from tests.record.flights import flown, in_file, start
 
 pytestmark = pytest.mark.xdist_group("chromium")
 
@@ -190,3 +192,15 @@ def test_it_fits_a_small_window(seen: Seen) -> None:
     x, y = pixels_per_metre(seen.page)
     assert x == pytest.approx(y, rel=1e-3)
     assert seen.page.errors == []
+
+
+def test_a_flight_without_position_and_ranges_says_so(browser: Browser, tmp_path: Path) -> None:
+    blind = status(0.0, phase=Phase.AWAIT, x_m=None, y_m=None, heading_rad=None, estimate=None, range_m=None)
+    recording = read(in_file(tmp_path / "f.mcap", [Tick(t_ns=0), blind]))
+    pages.write(tmp_path / "f.html", recording)
+    page = browser.open((tmp_path / "f.html").as_uri())
+    page.wait_for("document.documentElement.dataset.drawn === 'yes'")
+    assert "No map: the autopilot told no position." in text(page, ".where")
+    assert "no ranges were heard" in text(page, "#plots") and "no estimate" in text(page, "#plots")
+    assert page.errors == []
+    page.close()
