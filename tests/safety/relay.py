@@ -5,6 +5,8 @@ from __future__ import annotations
 import select
 import socket
 import threading
+import time
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
@@ -22,6 +24,11 @@ class Relay:
         self.port = int(self._app.getsockname()[1])
         self.sent: list[Any] = []
         """Every message of the app since the list was cleared."""
+        self.log: list[tuple[float, Any]] = []
+        """Every message of the app and when it came, monotonic seconds."""
+        self.up: Callable[[bytes], Iterable[bytes]] = lambda packet: (packet,)
+        self.down: Callable[[bytes], Iterable[bytes]] = lambda packet: (packet,)
+        """What becomes of a packet on its way to the mock (once it is noted), and from it."""
         self._mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -46,12 +53,16 @@ class Relay:
                         data, peer = self._app.recvfrom(65_535)
                         parser = mavlink.MAVLink(None)
                         parser.robust_parsing = True
-                        self.sent += parser.parse_buffer(data) or []
-                        self._mock.send(data)
+                        messages = parser.parse_buffer(data) or []
+                        self.sent += messages
+                        self.log += [(time.monotonic(), message) for message in messages]
+                        for packet in self.up(data):
+                            self._mock.send(packet)
                     else:
                         data = self._mock.recv(65_535)
                         if peer is not None:
-                            self._app.sendto(data, peer)
+                            for packet in self.down(data):
+                                self._app.sendto(packet, peer)
 
 
 def _socket() -> socket.socket:

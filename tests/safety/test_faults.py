@@ -20,7 +20,7 @@ from companion.types import (
 )
 from sitl_mock.scenario import Scenario
 from sitl_mock.world import World
-from tests.safety.faults import report
+from tests.safety.faults import report, wire
 from tests.safety.faults.__main__ import flights, main
 from tests.safety.faults.flight import SETTINGS, Fault, Flight
 from tests.safety.faults.matrix import FAULTS
@@ -55,6 +55,12 @@ SHORT = [
 def test_the_rule_for_the_fault_holds(name: str, phase: Phase) -> None:
     outcome = Flight(FAULTS[name], phase, 1).fly()
     assert outcome.held, (outcome.judgement.broken, outcome.law_broken, outcome.not_struck)
+
+
+def test_killed_and_started_anew_in_the_air_the_real_process_stays_silent() -> None:
+    outcome = wire.fly(wire.WIRE["wire/restart"])
+    assert outcome.held, (outcome.judgement.broken, outcome.law_broken, outcome.not_struck)
+    assert [step.phase for step in outcome.steps] == [Phase.INHIBITED]
 
 
 def test_the_matrix_is_as_large_as_it_says() -> None:

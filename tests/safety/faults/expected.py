@@ -125,6 +125,13 @@ STANDBY_VEHICLE_LOST = Rule("falls silent", reach=((AWAIT, 0.6),), silent=(0.6, 
 HELD_UP = Rule("held up for so long it stays silent: OFFBOARD is a person's choice", silent=(0.0, _INF))
 
 
+HANDS_OVER = Rule(
+    "stands still, hands over, silent",
+    reach=((HAND_OVER, 1.1), (RELEASED, 1.2)),
+    still=(1.1, _INF),
+    silent=(1.2, _INF),
+)
+FALLS_SILENT_2_S = Rule("falls silent", reach=((AWAIT, 1.1),), silent=(1.1, _INF))
 NEXT_HEARTBEAT = Rule("silent with the next heartbeat", reach=((RELEASED, 3.1),), silent=(3.1, _INF))
 FALLEN_BACK = Rule("silent when PX4 falls back", reach=((RELEASED, 1.25),), silent=(1.25, _INF))
 STANDS_FOR_2_S = STANDS._replace(still=(0.0, 2.0))
@@ -135,11 +142,10 @@ ENGAGED_ANEW = Rule(
 )
 DISARMED = Rule("ends with the next heartbeat", reach=((ENDED, 1.1),), silent=(1.1, _INF))
 REBOOTED = Rule("ends: disarmed", reach=((ENDED, 3.5),), still=(0.6, _INF), silent=(3.5, _INF))
-HOLD_REFUSED = Rule(
-    "silent when Hold was refused",
-    reach=((HAND_OVER, _LOSS.hand_over_after_s), (RELEASED, 18.0)),
+NO_HOLD = Rule(
+    "hands over in time: lands, as Hold is not to be had",
+    reach=((HAND_OVER, _LOSS.hand_over_after_s), (RELEASED, _LOSS.hand_over_after_s + 0.2)),
     still=(_LOSS.stall_after_s, _INF),
-    silent=(18.0, _INF),
 )
 BUDGET = Rule("a budget ends it", reach=((HAND_OVER, 110.0),), still=(110.0, _INF))
 HELD_UP_TAKEOVER = TAKEN_THEN_READY._replace(reach=((RELEASED, 0.8),), still=(0.8, _INF))

@@ -9,7 +9,9 @@ from msgspec.structs import replace
 
 from companion.types import (
     Attitude,
+    BatteryReport,
     Defect,
+    EstimatorReport,
     Event,
     LandedReport,
     LocalMotion,
@@ -28,7 +30,9 @@ Uplink = Callable[[Output], Iterable[Output]]
 UplinkMaker = Callable[[Random], Uplink]
 
 RANGES = (RangeSample,)
-MAVLINK = (Attitude, LocalMotion, VehicleHeartbeat, ModeReport, LandedReport)
+MAVLINK = (
+    Attitude, LocalMotion, VehicleHeartbeat, ModeReport, LandedReport, BatteryReport, EstimatorReport,
+)  # fmt: skip
 ALL = (*RANGES, *MAVLINK, Tick)
 Kinds = tuple[type[Event], ...]
 

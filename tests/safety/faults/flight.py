@@ -15,7 +15,17 @@ from msgspec.structs import replace
 
 from companion.run import run
 from companion.settings import BeaconSettings, LimitSettings, Settings
-from companion.types import Event, Output, Phase, PhaseChange, RangeSample, Setpoint, StopRequest, Tick
+from companion.types import (
+    Event,
+    ModeRequest,
+    Output,
+    Phase,
+    PhaseChange,
+    RangeSample,
+    Setpoint,
+    StopRequest,
+    Tick,
+)
 from sitl_mock.faults import Fault as MockFault
 from sitl_mock.modes import Mode
 from sitl_mock.scenario import BeaconAt, Scenario
@@ -66,6 +76,9 @@ class Outcome(NamedTuple):
     law_broken: tuple[str, ...]
     not_struck: str = ""
     """Why the fault could not strike: the phase was not reached."""
+
+    dead: bool = False
+    """The app does not run any more."""
 
     @property
     def held(self) -> bool:
@@ -141,6 +154,12 @@ def _find_ranges(flight: Flight) -> None:
     del flight.filters[_lose_ranges]
 
 
+def _stop_in_vain(flight: Flight) -> None:
+    """The mode that the app then asks for never comes."""
+    flight.stop_asked = True
+    flight.uplinks[_stop_in_vain] = lambda output: () if isinstance(output, ModeRequest) else (output,)
+
+
 _CHAINS: dict[Phase, tuple[_Link, ...]] = {
     Phase.AWAIT: (_Link(Phase.AWAIT, (0.0, 0.0), _strike),),
     Phase.STANDBY: (_Link(Phase.STANDBY, (0.5, 2.0), _strike),),
@@ -150,8 +169,7 @@ _CHAINS: dict[Phase, tuple[_Link, ...]] = {
     Phase.COAST: (_Link(Phase.APPROACH, (2.0, 4.0), _lose_ranges), _Link(Phase.COAST, (0.0, 0.5), _strike)),
     Phase.STALL: (_Link(Phase.APPROACH, (1.0, 3.0), _lose_ranges), _Link(Phase.STALL, (0.1, 2.0), _strike)),
     Phase.HAND_OVER: (
-        _Link(Phase.APPROACH, (0.5, 2.0), on(MockFault.GPS_LOST)),
-        _Link(Phase.APPROACH, (0.1, 0.5), stop),
+        _Link(Phase.APPROACH, (0.5, 2.0), _stop_in_vain),
         _Link(Phase.HAND_OVER, (0.1, 1.0), _strike),
     ),
     Phase.RELEASED: (
@@ -317,4 +335,5 @@ class Flight:
             judgement,
             self.watch.limits,
             (*self.watch.broken, *self.watch.limits.exceeded(self.fault.settings)),
+            dead=not self.alive and self.phase is not Phase.ENDED,
         )

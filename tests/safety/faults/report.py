@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import msgspec
 from rich import box
@@ -12,13 +12,27 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tests.safety.faults.flight import Fault, Outcome
-from tests.safety.faults.rules import EVERY
+from companion.types import Phase
+from tests.safety.faults.flight import Outcome
+from tests.safety.faults.rules import EVERY, Rule
 from tests.safety.faults.watch import Limits
 
 _SHOWN_STEPS = 4
 _WIDE = 120
 """Columns of a terminal that has room for everything."""
+
+
+class Described(Protocol):
+    """What the table tells of a fault, simulated or on the wire."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def family(self) -> str: ...
+    @property
+    def what(self) -> str: ...
+    @property
+    def rules(self) -> Mapping[Phase, Rule]: ...
 
 
 class Row(NamedTuple):
@@ -43,10 +57,12 @@ def did(outcome: Outcome) -> str:
     names = [step.phase.value for step in outcome.steps]
     if len(names) > _SHOWN_STEPS:
         names[_SHOWN_STEPS - 1 : -1] = ["…"]
+    if outcome.dead:
+        names.append("dead")
     return " → ".join(names) or f"stays in {outcome.struck_in.value}"
 
 
-def rows(faults: Mapping[str, Fault], outcomes: Iterable[Outcome]) -> list[Row]:
+def rows(faults: Mapping[str, Described], outcomes: Iterable[Outcome]) -> list[Row]:
     """One row for every fault and kind of outcome: phases that came to the same stand together."""
     cells: dict[tuple[str, int], list[Outcome]] = {}
     for outcome in outcomes:
@@ -69,7 +85,7 @@ def _broken(cell: list[Outcome]) -> tuple[str, ...]:
     return tuple(told)
 
 
-def _row(fault: Fault, usual: str, rule: str, broken: tuple[str, ...], cell: list[Outcome]) -> Row:
+def _row(fault: Described, usual: str, rule: str, broken: tuple[str, ...], cell: list[Outcome]) -> Row:
     alike = sum(did(o) == usual for o in cell)
     took = [o.judgement.took_s for o in cell if o.judgement.took_s is not None]
     worst = Limits()

@@ -27,6 +27,7 @@ _YAW_RATE_MARGIN_RAD_S = 0.3
 _HEIGHT_MARGIN_M = 0.3
 _COAST_M = 2.0
 """What the true motion may exceed the commanded by: overshoot, the estimate's error, the way to a stop."""
+_HAND_OVER_TO = (FlightMode.AUTO_LOITER, FlightMode.AUTO_LAND)
 _MODE_FRESH_NS = 1_500_000_000
 _SLACK = 1e-9
 
@@ -141,7 +142,7 @@ class Watch:
     def sent(self, output: Output, phase: Phase) -> None:
         """The app sends this now, in this phase."""
         if isinstance(output, ModeRequest):
-            if phase is not Phase.HAND_OVER or output.mode is not FlightMode.AUTO_LOITER:
+            if phase is not Phase.HAND_OVER or output.mode not in _HAND_OVER_TO:
                 self._breach(f"asked for {output.mode.value} in {phase.value}")
         elif isinstance(output, Setpoint):
             self._bounds(output)
