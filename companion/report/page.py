@@ -22,6 +22,8 @@ from companion.report.flight import Figures, Flight
 from companion.report.series import Series
 from companion.types import Phase
 
+_SCRIPTS = ("page.js", "map.js", "plots.js", "cursor.js")
+
 
 class PageError(Exception):
     """The page cannot be made; the text says why and what to do."""
@@ -77,7 +79,7 @@ def html(flight: Flight, series: Series, plotly: str) -> str:
         tables=_tables(f),
         data=data.replace("<", "\\u003c"),  # so that no text in it can end the script element
         plotly=plotly.replace("</script", "<\\/script"),
-        script=(here / "page.js").read_text(encoding="utf-8"),
+        script="\n".join((here / name).read_text(encoding="utf-8") for name in _SCRIPTS),
     )
 
 
