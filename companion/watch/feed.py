@@ -43,7 +43,7 @@ class Now(msgspec.Struct, frozen=True):
     link: str
     age_s: float | None
     lost: int
-    problem: str
+    problems: list[str]
     message: StatusMessage | None
 
 
@@ -120,7 +120,7 @@ def _short(value: float | None) -> float | None:
 def feed(fleet: Fleet, missing: str, stories: tuple[Story, ...], now_ns: int) -> bytes:
     """A message to the page, as JSON."""
     now = tuple(
-        Now(v.uav, v.link(now_ns).value, v.age_s(now_ns), v.lost, v.problem, v.message)
+        Now(v.uav, v.link(now_ns).value, v.age_s(now_ns), v.lost, v.problems(now_ns), v.message)
         for v in fleet.vehicles()
     )
     return msgspec.json.encode(Feed(missing, fleet.turned_away, now, stories))

@@ -49,10 +49,19 @@ class Vehicle:
     unreadable: int = 0
     problem: str = ""
     """Why the last unreadable message could not be read."""
+    rival_t_ns: int | None = None
+    """When another app was heard under this id last, while the one that is shown was there."""
 
     def age_s(self, now_ns: int) -> float | None:
         """Seconds since it was heard last."""
         return None if self.t_ns is None else (now_ns - self.t_ns) * 1e-9
+
+    def problems(self, now_ns: int) -> list[str]:
+        """What is wrong with what it says, in words."""
+        told = [f"{self.unreadable} unreadable: {self.problem}"] if self.problem else []
+        if self.rival_t_ns is not None and now_ns - self.rival_t_ns < SILENT_S * 1e9:
+            told.append("another app publishes under this id, too: give each vehicle a status.uav of its own")
+        return told
 
     def link(self, now_ns: int) -> Link:
         """Whether it is heard."""
@@ -100,6 +109,11 @@ class Fleet:
             vehicle.problem = "".join(c if c.isprintable() else "?" for c in str(error)[:200])
             return None
         before = vehicle.message
+        if before is not None and before.session != message.session:
+            age_s = vehicle.age_s(heard.t_ns)
+            if age_s is not None and age_s < SILENT_S:  # one after the other would be a restart
+                vehicle.rival_t_ns = heard.t_ns
+                return None
         vehicle.message, vehicle.t_ns = message, heard.t_ns
         if before is None or before.session != message.session:
             vehicle.t0_ns, vehicle.lost = message.status.t_ns, 0

@@ -122,7 +122,7 @@ function facts() {
     for (const [id, heard] of Object.entries(s.beacons)) rows.push([`beacon ${id}`, age(heard), old(1, heard)]);
   }
   if (now.lost) rows.push(["messages lost", String(now.lost)]);
-  if (now.problem) rows.push(["problem", now.problem, "bad"]);
+  for (const problem of now.problems) rows.push(["problem", problem, "bad"]);
   $("facts").replaceChildren(...rows.map(([name, text, kind]) => {
     const row = document.createElement("div");
     row.append(Object.assign(document.createElement("dt"), { textContent: name }));

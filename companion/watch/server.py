@@ -16,6 +16,7 @@ from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
+from socketserver import TCPServer
 from typing import Any
 
 MOST_CLIENTS = 32
@@ -116,6 +117,10 @@ class _Server(ThreadingHTTPServer):
         }
         self._places = threading.BoundedSemaphore(MOST_CLIENTS)
         super().__init__((bind, port), _Handler)
+
+    def server_bind(self) -> None:
+        """Without HTTPServer's reverse look-up of the name: without a network it takes seconds."""
+        TCPServer.server_bind(self)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         if self._places.acquire(blocking=False):

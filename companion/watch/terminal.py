@@ -57,7 +57,7 @@ class LiveScreen:
             if item.change is not None:
                 told = told_text(item.change, item.vehicle.t0_ns)
                 self._console.print(Text(f"{item.vehicle.uav} ", style="bold") + told, soft_wrap=True)
-        self._live.update(screen(fleet, missing, now_ns), refresh=True)
+        self._live.update(screen(fleet, missing, now_ns, self._console.width), refresh=True)
 
     def close(self) -> None:
         """Leave the last picture where it is."""
@@ -89,7 +89,7 @@ class PlainScreen:
 
 
 class JsonScreen:
-    """One JSON object a line and a second for each vehicle: uav, link, age_s and the message as it came."""
+    """One JSON object a line and a second for each vehicle: uav, link, age_s, problems and the message."""
 
     period_s = 1.0
 
@@ -105,6 +105,7 @@ class JsonScreen:
                 "uav": vehicle.uav,
                 "link": vehicle.link(now_ns),
                 "age_s": vehicle.age_s(now_ns),
+                "problems": vehicle.problems(now_ns),
                 "message": vehicle.message,
             }
             self._stream.write(msgspec.json.encode(row).decode() + "\n")
@@ -118,30 +119,29 @@ class JsonScreen:
 
 
 def vehicle_line(vehicle: Vehicle, now_ns: int) -> str:
-    """`uav=… link=… age_s=…`, then the keys of `companion.view.plain_line`."""
+    """`uav=… link=… age_s=… problems=…`, then the keys of `companion.view.plain_line`."""
     age_s = vehicle.age_s(now_ns)
     age = "-" if age_s is None else f"{age_s:.1f}"
     head = f"uav={vehicle.uav} link={vehicle.link(now_ns).value} age_s={age}"
-    if vehicle.message is not None:
-        return f"{head} {plain_line(vehicle.message.status, vehicle.t0_ns)}"
-    return f"{head} unreadable={vehicle.unreadable} problem={vehicle.problem or '-'}"
+    problems = ";".join(vehicle.problems(now_ns)).replace(" ", "_") or "-"
+    if vehicle.message is None:
+        return f"{head} problems={problems}"
+    return f"{head} problems={problems} {plain_line(vehicle.message.status, vehicle.t0_ns)}"
 
 
-def screen(fleet: Fleet, missing: str, now_ns: int) -> RenderableType:
+def screen(fleet: Fleet, missing: str, now_ns: int, width: int = 120) -> RenderableType:
     """Everything: what is awaited, the table, of a single vehicle its panel."""
     parts: list[RenderableType] = []
     vehicles = fleet.vehicles()
     if missing:
         parts.append(Text(missing, style="yellow"))
     if vehicles:
-        parts.append(_table(vehicles, now_ns))
+        parts.append(_table(vehicles, now_ns, width))
     if len(vehicles) == 1 and vehicles[0].message is not None and vehicles[0].link(now_ns) is Link.LIVE:
         parts.append(panel(vehicles[0].message.status, vehicles[0].t0_ns))
     else:
         parts += [Text(f"{v.uav} {line}", style="yellow") for v in vehicles for line in _lines(v)]
-    parts += [
-        Text(f"{v.uav}: {v.unreadable} unreadable: {v.problem}", style="red") for v in vehicles if v.problem
-    ]
+    parts += [Text(f"{v.uav}: {line}", style="red") for v in vehicles for line in v.problems(now_ns)]
     if fleet.turned_away:
         parts.append(Text(f"{fleet.turned_away} messages of other ids are not shown", style="red"))
     return Group(*parts)
@@ -155,45 +155,49 @@ def _lines(vehicle: Vehicle) -> list[str]:
     return [f"awaits {awaited}" for awaited in s.awaited] + [f"warns: {warning}" for warning in s.warnings]
 
 
-def _table(vehicles: list[Vehicle], now_ns: int) -> Table:
+_NARROW = 104
+"""Columns of a terminal in which everything has its place."""
+_DISPENSABLE = frozenset({"to", "height", "speed", "path"})
+"""What is left out in a narrower one."""
+
+
+def _table(vehicles: list[Vehicle], now_ns: int, width: int) -> Table:
     table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("vehicle", "link"):
-        table.add_column(name, no_wrap=True)
-    for name in ("phase", "mode"):
-        table.add_column(name, no_wrap=True)
-    for name in ("to", "distance", "bearing", "range", "height", "speed", "path"):
-        table.add_column(name, justify="right" if name != "to" else "left", no_wrap=True)
-    for vehicle in vehicles:
-        table.add_row(Text(vehicle.uav, style="bold"), *_cells(vehicle, now_ns))
+    left_out = _DISPENSABLE if width < _NARROW else frozenset()
+    rows = [{k: v for k, v in _cells(vehicle, now_ns).items() if k not in left_out} for vehicle in vehicles]
+    for name in max(rows, key=len):
+        numeric = name in ("distance", "bearing", "range", "height", "speed", "path")
+        table.add_column(name, justify="right" if numeric else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*row.values())
     return table
 
 
-def _cells(vehicle: Vehicle, now_ns: int) -> list[Text]:
+def _cells(vehicle: Vehicle, now_ns: int) -> dict[str, Text]:
+    """What stands in each column; the first two alone where nothing was heard."""
     link, age_s = vehicle.link(now_ns), vehicle.age_s(now_ns)
-    heard = (
-        link.value
-        if link is Link.LIVE
-        else f"{link.value}, " + ("never heard" if age_s is None else f"{age_s:.0f} s ago")
-    )
+    heard = link.value
+    if link is not Link.LIVE:
+        heard += ", never heard" if age_s is None else f", {age_s:.0f} s ago"
     if vehicle.lost:
         heard += f", {vehicle.lost} lost"
-    cells = [Text(heard, style=_LINK_STYLE[link])]
+    cells = {"vehicle": Text(vehicle.uav, style="bold"), "link": Text(heard, style=_LINK_STYLE[link])}
     if vehicle.message is None:
         return cells
     m, s, e = vehicle.message, vehicle.message.status, vehicle.message.status.estimate
     style = "" if link is Link.LIVE else "dim"
-    cells.append(Text(s.phase.value.upper(), style=PHASE_STYLE[s.phase] if link is Link.LIVE else "dim"))
-    plain = [
-        s.mode.value if s.mode is not None else "–",
-        m.target,
-        "–" if e is None else f"{e.distance_m:.2f} ± {e.distance_sigma_m:.2f} m",
-        "–" if e is None else f"{_side(e.bearing_rad)} ± {math.degrees(e.bearing_sigma_rad):.0f}°",
-        "–" if s.range_m is None else f"{s.range_m:.2f} m",
-        "–" if s.height_m is None else f"{s.height_m:.1f} m",
-        "–" if s.speed_m_s is None else f"{s.speed_m_s:.2f} m/s",
-        f"{s.path_m:.1f} m",
-    ]
-    return cells + [Text(text, style=style) for text in plain]
+    cells["phase"] = Text(s.phase.value.upper(), style=style or PHASE_STYLE[s.phase])
+    plain = {
+        "mode": s.mode.value if s.mode is not None else "–",
+        "to": m.target,
+        "distance": "–" if e is None else f"{e.distance_m:.2f} ± {e.distance_sigma_m:.2f} m",
+        "bearing": "–" if e is None else f"{_side(e.bearing_rad)} ± {math.degrees(e.bearing_sigma_rad):.0f}°",
+        "range": "–" if s.range_m is None else f"{s.range_m:.2f} m",
+        "height": "–" if s.height_m is None else f"{s.height_m:.1f} m",
+        "speed": "–" if s.speed_m_s is None else f"{s.speed_m_s:.2f} m/s",
+        "path": f"{s.path_m:.1f} m",
+    }
+    return cells | {name: Text(text, style=style) for name, text in plain.items()}
 
 
 def _side(bearing_rad: float) -> str:

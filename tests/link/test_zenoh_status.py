@@ -105,6 +105,27 @@ def test_a_broken_network_is_told_and_stops_nothing() -> None:
     assert told == ["status is not published any more: session closed"]
 
 
+class Stalled:
+    """A session in which nothing ever comes back."""
+
+    def __init__(self) -> None:
+        self.release = threading.Event()
+
+    def liveliness(self) -> None:
+        self.release.wait(60.0)
+        raise zenoh.ZError("closed")
+
+
+def test_a_network_that_hangs_holds_up_neither_the_loop_nor_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.link.zenoh_status._CLOSE_LIMIT_S", 0.05)
+    session = Stalled()
+    link = StatusLink(Settings(), lambda: session, lambda _: None)  # type: ignore[arg-type, return-value]
+    for i in range(5000):  # would never return if the network were waited for
+        link.send(status(i))
+    link.close()
+    session.release.set()
+
+
 def test_without_a_network_the_end_does_not_wait() -> None:
     link = StatusLink(Settings(), lambda: None, pytest.fail)
     link.send(status())

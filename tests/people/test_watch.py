@@ -13,6 +13,7 @@ import pytest
 import zenoh
 from rich.console import Console
 
+from companion.cli import main
 from companion.exits import Exit
 from companion.link.zenoh_publish import Heard
 from companion.types import Phase, Status
@@ -20,7 +21,7 @@ from companion.watch.fleet import MOST_VEHICLES, Fleet, Link
 from companion.watch.listen import News
 from companion.watch.terminal import PlainScreen, screen, vehicle_line
 from companion.wire_status import JSON, StatusMessage, alive_key, encode, status_key
-from tests.link.test_fly_process import run, start
+from tests.link.test_fly_process import start
 from tests.link.test_zenoh_status import free_endpoint, until
 from tests.people.flights import status
 
@@ -88,8 +89,20 @@ def test_changes_of_phase_are_told_and_losses_counted_but_not_over_a_restart() -
     told, *rest = stream.getvalue().splitlines()
     assert told == "uav=heron t_s=2.0 change=APPROACH->HOLD severity=INFO reason=there"
     assert [line.split()[:3] for line in rest] == [["uav=heron", "link=live", "age_s=1.0"]]
-    assert fleet.take(heard("heron", message(status(1.0, phase=Phase.AWAIT), session="s2"))) is None
+    assert fleet.take(heard("heron", message(status(1.0, phase=Phase.AWAIT), session="s2"), 5.0)) is None
     assert fleet.vehicles()[0].lost == 0
+
+
+def test_two_apps_under_one_id_are_told_and_do_not_alternate() -> None:
+    fleet = Fleet()
+    for i in range(20):
+        fleet.take(heard("heron", message(status(i), i, "s1"), 0.2 * i))
+        fleet.take(heard("heron", message(status(phase=Phase.HOLD), i, "s2"), 0.2 * i + 0.1))
+    (vehicle,) = fleet.vehicles()
+    assert vehicle.message is not None and vehicle.message.session == "s1" and vehicle.lost == 0
+    assert "another app publishes under this id" in shown(fleet, 4.0)
+    fleet.take(heard("heron", message(status(phase=Phase.HOLD), 50, "s2"), 6.5))  # the first has ended
+    assert vehicle.message.session == "s2" and not vehicle.problems(7 * S)
 
 
 @pytest.mark.parametrize(
@@ -151,21 +164,22 @@ def test_it_watches_until_it_is_interrupted(vehicle: tuple[str, zenoh.Session]) 
     assert msgspec.convert(row["message"]["status"], Status) == sent
 
 
+NOWHERE = ("watch", "--zenoh-connect", "tcp/127.0.0.1:1")
+
+
 @pytest.mark.parametrize(
     ("arguments", "exit_status", "words"),
     [
         (("watch",), Exit.USAGE, "--zenoh-connect"),
-        (("watch", "--zenoh-connect", "tcp/127.0.0.1:1", "--uav", "a/b"), Exit.USAGE, "a/b"),
-        (
-            ("watch", "--zenoh-connect", "tcp/127.0.0.1:1", "--seconds", "0.3"),
-            Exit.NO_VEHICLE,
-            "nobody answers",
-        ),
+        ((*NOWHERE, "--uav", "a/b"), Exit.USAGE, "a/b"),
+        ((*NOWHERE, "--web", "99999"), Exit.USAGE, "between 0 and 65535"),
+        ((*NOWHERE, "--web", "0", "--bind", "203.0.113.9"), Exit.LINK, "203.0.113.9"),
+        ((*NOWHERE, "--seconds", "0.3"), Exit.NO_VEHICLE, "nobody answers"),
     ],
 )
 def test_where_there_is_nothing_to_see_it_says_why(
-    arguments: tuple[str, ...], exit_status: Exit, words: str
+    arguments: tuple[str, ...], exit_status: Exit, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    returned, out, err = run(*arguments)
-    assert returned == exit_status
-    assert words in out + err and "Traceback" not in err
+    assert main(arguments) == exit_status
+    out, err = capsys.readouterr()
+    assert words in out + err

@@ -36,21 +36,22 @@ class Told:
         self.fleet = Fleet()
         self.page = Page("127.0.0.1", 0)
         self.seq = 0
+        self.now_s = 0.0
 
     def hear(self, uav: str, *statuses: Status, session: str = "s1", missing: str = "") -> None:
         news = []
         for s in statuses:
             self.seq += 1
-            change = self.fleet.take(heard(uav, message(s, self.seq, session), 0.0))
+            change = self.fleet.take(heard(uav, message(s, self.seq, session), self.now_s))
             vehicle = self.fleet.get(uav)
             assert vehicle is not None and vehicle.message is not None
             news.append(News(vehicle, vehicle.message, change))
-        self.page.show(self.fleet, news, missing, S // 2)
+        self.page.show(self.fleet, news, missing, round(self.now_s * S))
 
     def until(self, tab: Tab, script: str) -> None:
         """Tell again what is told five times a second, until the page shows it."""
         for _ in range(200):
-            self.page.show(self.fleet, [], "", S // 2)
+            self.page.show(self.fleet, [], "", round(self.now_s * S))
             if tab.evaluate(f"!!({script})", bool):
                 return
             tab.settle()
@@ -103,6 +104,7 @@ def test_a_flight_is_seen_live(browser: Browser, told: Told) -> None:
     told.until(tab, "watching().chosen == 'crane'")
     assert HOSTILE in tab.evaluate("document.getElementById('awaited').textContent", str)
     assert tab.evaluate("document.querySelectorAll('img, main script').length", int) == 0
+    told.now_s = 9.0
     told.hear("heron", status(0.5), session="s2")  # started anew: its past is another flight's
     tab.evaluate("document.querySelector('[data-uav=heron] button').click()", type(None))
     told.until(tab, "watching().rows == 1")
