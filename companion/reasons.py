@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from companion import limits
@@ -44,6 +45,8 @@ def _configured(p: Plan, condition: Condition) -> HandOverTo:
 
 def _reason(p: Plan, s: State, condition: Condition, t_ns: int) -> str:
     h, text = s.health, condition.value
+    if condition in (Condition.PROBING, Condition.TRACKING):
+        return _bearing(p, s, text)
     if condition in _LOSSES:
         return with_the_silent(p, s, t_ns, text)
     if condition is Condition.BUDGET_SPENT:
@@ -62,6 +65,15 @@ def _reason(p: Plan, s: State, condition: Condition, t_ns: int) -> str:
     if condition is Condition.LEFT_OFFBOARD:
         return _left(p, s, t_ns)
     return text
+
+
+def _bearing(p: Plan, s: State, text: str) -> str:
+    """How well the bearing is known: what can be observed of it now, not only whether that is enough."""
+    known = p.scheme.knowledge(p.scheme.p, s.observing.guidance)
+    if known.sigma_theta_rad >= math.pi:
+        return text
+    what, colon, then = text.partition(":")
+    return f"{what} (± {math.degrees(known.sigma_theta_rad):.0f}°){colon}{then}"
 
 
 def _left(p: Plan, s: State, t_ns: int) -> str:

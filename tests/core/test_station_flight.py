@@ -72,11 +72,12 @@ def fly(config: Config, until_s: float, heard: Callable[[str, float], bool] = al
 
 @cache
 def kept() -> Flown:
-    """In a drift, with one beacon of four silent from the fifth second on."""
-    return fly(config("sim.drift_x_m_s=0.2"), 40.0, lambda beacon, t_s: beacon != "b1" or t_s < 5.0)
+    """In a drift, one beacon of four silent from the fifth second on, another one once it is there."""
+    ends_s = {"b1": 5.0, "b2": 25.0}
+    return fly(config("sim.drift_x_m_s=0.2"), 40.0, lambda beacon, t_s: t_s < ends_s.get(beacon, 99.0))
 
 
-def test_it_arrives_and_stays_in_one_phase_while_it_creeps_back_with_a_beacon_silent() -> None:
+def test_it_arrives_and_stays_in_one_phase_while_it_creeps_back_and_two_beacons_are_enough() -> None:
     flown = kept()
     assert flown.phases == [Phase.ACQUIRE, Phase.APPROACH, Phase.KEEP]
     arrived_s = (flown.changes[-1].t_ns - 1_000_000_000) * 1e-9
@@ -94,7 +95,15 @@ def test_people_see_where_the_station_is_and_which_beacons_are_heard() -> None:
     ages = last.beacons
     assert ages.keys() == {"b1", "b2", "b3", "b4"}
     assert ages["b1"] is not None and ages["b1"] > 30.0
-    assert all(age is not None and age < 0.5 for name, age in ages.items() if name != "b1")
+    assert all(age is not None and age < 0.5 for name, age in ages.items() if name in ("b3", "b4"))
+
+
+def test_a_change_of_phase_tells_how_well_the_bearing_is_known() -> None:
+    found = next(c for c in kept().changes if c.after is Phase.APPROACH)
+    status = next(s for s in kept().statuses if s.phase is Phase.APPROACH)
+    assert status.estimate is not None
+    told = float(found.reason.removeprefix("bearing known (± ").removesuffix("°)"))
+    assert told == pytest.approx(math.degrees(status.estimate.bearing_sigma_rad), abs=3.0)
 
 
 def test_too_few_beacons_are_named_it_stands_and_finds_the_station_anew() -> None:

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from companion.bench.station_plant import Air, Field, Stayed, bound_m, fly, random_field
-from companion.guidance.scheme import Scheme
+from companion.guidance import station_steer
+from companion.guidance.scheme import STAY, TRACK, Scheme
 from companion.guidance.settings import GuidanceSettings
 from companion.guidance.station import Mode, Problem, Station, station
 from companion.guidance.station_settings import StationSettings
+from companion.guidance.station_steer import Situation
 
 SHORT = Air(limit_s=150.0, hold_s=30.0)
 SQUARE = Field((12.0, 5.0), ((18.0, 4.0), (9.0, 10.0), (10.0, 0.0), (6.0, 3.0)))
@@ -142,3 +144,20 @@ def test_the_mirror_image_is_flown_as_the_mirror_image() -> None:
 def test_the_same_flight_twice_is_the_same() -> None:
     one, other = (fly(scheme_for(TRIANGLE), TRIANGLE, 13, SHORT._replace(limit_s=30.0)) for _ in range(2))
     assert one == other
+
+
+def test_what_stays_is_not_told_to_have_left_before_it_is_outside() -> None:
+    law = scheme_for(TRIANGLE).p.law
+
+    def purposes(*away_m: float) -> list[int]:
+        stay, told = station_steer.Stay(True, False, 0.0), []
+        for d in away_m:
+            for _ in range(60):
+                at = Situation(d, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                stay, wanted = station_steer.steer(law, at, stay, 0.05, 0.0)
+            told.append(wanted.purpose)
+        return told
+
+    assert purposes(0.01, 0.25, 0.01) == [STAY, STAY, STAY]
+    assert purposes(0.25, 0.01) == [TRACK, STAY]
+    assert purposes(0.01, 0.35, 0.25) == [STAY, TRACK, TRACK]

@@ -13,7 +13,7 @@ from scipy.linalg import solve_continuous_are
 
 from companion.bench.station_plant import Air, Field, fly, random_field
 from companion.guidance import model
-from companion.guidance.scheme import STAY
+from companion.guidance.scheme import STAY, TRACK
 from companion.guidance.station_paper import (
     Parameters,
     error,
@@ -95,4 +95,7 @@ def test_it_rests_where_the_distances_are_those_given() -> None:
     s, wanted = scheme.command(scheme.p, s, 0.05, 0.0)
     assert (wanted.v_m_s, wanted.purpose) == (0.0, STAY)
     s = scheme.update(scheme.p, s, 2, 5.4, 0.07, 0.0, 0.0)
-    assert scheme.command(scheme.p, s, 0.05, 0.0)[1].v_m_s == 0.5
+    s, wanted = scheme.command(scheme.p, s, 0.05, 0.0)
+    assert (wanted.v_m_s, wanted.purpose) == (0.5, STAY)  # it moves, and has not left
+    s = scheme.update(scheme.p, s, 2, 5.7, 0.07, 0.0, 0.0)
+    assert scheme.command(scheme.p, s, 0.05, 0.0)[1].purpose == TRACK
