@@ -133,61 +133,67 @@ def beacon_line(row: BeaconRow) -> str:
     return " ".join(f"{key}={value}" for key, value in fields)
 
 
+_LEFT = ("beacon", "tag", "link", "sight")
+_RIGHT = ("Hz", "age", "range", "σ", "dBm", "good", "bad")
+
+
 def table(rows: Sequence[BeaconRow], missing: str) -> RenderableType:
     """What is awaited, the table, and what is to be said of each."""
     parts: list[RenderableType] = [Text(missing, style="yellow")] if missing else []
     if rows:
         grid = Table(box=None, pad_edge=False, header_style="dim")
-        for name in ("beacon", "tag", "link"):
-            grid.add_column(name, no_wrap=True)
-        for name in ("Hz", "age", "range", "σ"):
-            grid.add_column(name, justify="right", no_wrap=True)
-        grid.add_column("sight", no_wrap=True)
-        for name in ("dBm", "believed"):
-            grid.add_column(name, justify="right", no_wrap=True)
-        for name in ("refused, unreadable, lost", "tells of itself"):
-            grid.add_column(name)
+        for name in (*_LEFT, *_RIGHT):
+            grid.add_column(name, justify="right" if name in _RIGHT else "left", no_wrap=True)
         for row in rows:
             grid.add_row(*_cells(row))
         parts.append(grid)
-    parts += [Text(f"{_name(row)}: {note}", style="yellow") for row in rows for note in row.notes]
+    parts += [line for row in rows for line in _lines(row)]
     return Group(*parts)
 
 
-def _name(row: BeaconRow) -> str:
-    return f"{row.beacon} to {row.tag}" if row.tag else row.beacon
-
-
 def _cells(row: BeaconRow) -> list[Text]:
-    link = row.link.value + ("" if row.alive or row.link is Link.GONE else ", no token")
-    bad = {**row.refused, **row.malformed, **({"lost": row.lost} if row.lost else {})}
-    why = ", ".join(f"{reason} {count}" for reason, count in sorted(bad.items()))
     los = row.los or LineOfSight.UNKNOWN
+    bad = sum(row.refused.values()) + sum(row.malformed.values()) + row.lost
     return [
         Text(row.beacon, style="bold"),
         Text(row.tag or "–"),
-        Text(link, style=_LINK_STYLE[row.link]),
+        Text(row.link.value, style=_LINK_STYLE[row.link]),
+        Text("–" if row.los is None else los.value, style=_LOS_STYLE[los]),
         Text(f"{row.rate_hz:.1f}"),
         Text("–" if row.age_s is None else f"{row.age_s:.2f} s"),
         Text("–" if row.range_m is None else f"{row.range_m:.2f} m", style="bold"),
         Text("–" if row.sigma_m is None else f"{row.sigma_m:.3f} m"),
-        Text("–" if row.los is None else los.value, style=_LOS_STYLE[los]),
         Text("–" if row.rssi_dbm is None else f"{row.rssi_dbm:.0f}"),
         Text(str(row.believed)),
-        Text(why or "–", style="yellow" if bad else "dim"),
-        Text(_info(row.info), style="dim"),
+        Text(str(bad), style="yellow" if bad else "dim"),
     ]
 
 
-def _info(about: BeaconInfo | None) -> str:
-    if about is None:
-        return "nothing"
+def _lines(row: BeaconRow) -> list[Text]:
+    """What the table has no room for."""
+    name = f"{row.beacon} to {row.tag}" if row.tag else row.beacon
+    bad = {**row.refused, **row.malformed, **({"lost": row.lost} if row.lost else {})}
+    lines = []
+    if bad:
+        why = ", ".join(f"{reason} {count}" for reason, count in sorted(bad.items()))
+        lines.append(Text(f"{name}: {why}", style="yellow"))
+    if row.link is Link.LIVE and not row.alive:
+        lines.append(
+            Text(f"{name}: no liveliness token: its end shows only when ranges stop", style="yellow")
+        )
+    lines += [Text(f"{name}: {note}", style="yellow") for note in row.notes]
+    if row.info is not None and (told := _info(row.info)):
+        lines.append(Text(f"{name}: tells {told}", style="dim"))
+    return lines
+
+
+def _info(about: BeaconInfo) -> str:
     told = (
         (about.height_m, "height {:g} m"),
         (about.bias_m, "bias {:g} m"),
         (about.sigma_m, "σ {:g} m"),
     )
-    return ", ".join(form.format(value) for value, form in told if value is not None) or "nothing"
+    return ", ".join(form.format(value) for value, form in told if value is not None)
 
 
 def _number(value: float | None, digits: int) -> str:

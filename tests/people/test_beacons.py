@@ -65,15 +65,29 @@ def test_a_beacon_is_shown_with_all_that_is_known_of_it() -> None:
     assert row.believed == 57 and row.refused["absurd"] == 2
     assert row.malformed == {"range field missing or out of range": 1}
     text = shown(network, 3.1)
-    for words in ("b1", "drone", "live", "0.050 m", "nlos", "absurd 2", "lost 3", "height 1.5 m, bias 0.1 m"):
+    for words in (
+        "b1",
+        "drone",
+        "live",
+        "0.050 m",
+        "nlos",
+        "absurd 2",
+        "lost 3",
+        "tells height 1.5 m, bias 0.1 m",
+    ):
         assert words in text
     assert "unreadable: Object missing required field" in text
+
+
+def test_the_table_fits_a_small_terminal() -> None:
+    table_lines = shown(sensors(), 3.1, width=80).splitlines()[:2]
+    assert not any("…" in line for line in table_lines)
 
 
 def test_live_silent_and_gone_are_told_apart() -> None:
     network = sensors()
     assert network.rows(round(3.1 * S))[0].link is Link.LIVE
-    assert "live, no token" in shown(network, 3.1)
+    assert "no liveliness token" in shown(network, 3.1)
     assert network.rows(9 * S)[0].link is Link.GONE
     network.alive([alive_key("lab", "b1"), alive_key("lab", "b9")])
     assert network.rows(9 * S)[0].link is Link.SILENT
