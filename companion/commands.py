@@ -61,6 +61,8 @@ def replay(args: argparse.Namespace) -> int:
     except (RecordError, ConfigError) as error:
         raise UsageError(str(error)) from error
     print(msgspec.json.encode(result).decode() if args.json else result.text())
+    if result.stopped is not None and not result.compared:
+        return Exit.USAGE  # as a file of which nothing can be read
     return Exit.OK if result.equal or settings is not None else Exit.DIFFERENT
 
 
@@ -72,13 +74,14 @@ def report(args: argparse.Namespace) -> int:
     from companion.recording import RecordError, read
     from companion.report.page import PageError, write
 
-    page = args.output or args.file.with_suffix(".html")
-    if page.is_dir():
-        page = page / args.file.with_suffix(".html").name
-    if page.exists() and args.file.exists() and page.samefile(args.file):
-        raise UsageError(f"{page}: the page would overwrite the flight; name another file with -o")
     try:
-        flight = write(page, read(args.file))
+        recording = read(args.file)
+        page = args.output or args.file.with_suffix(".html")
+        if page.is_dir():
+            page = page / args.file.with_suffix(".html").name
+        if page.exists() and page.samefile(args.file):
+            raise UsageError(f"{page}: the page would overwrite the flight; name another file with -o")
+        flight = write(page, recording)
     except (RecordError, PageError) as error:
         raise UsageError(str(error)) from error
     except OSError as error:

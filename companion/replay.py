@@ -360,7 +360,9 @@ def _lines(r: ReplayResult) -> Iterator[str]:
     yield from (f"  record: {problem}" for problem in r.problems)
     yield from (f"  version: {name} {then} then, {now} now" for name, (then, now) in r.versions.items())
     yield from (f"  setting: {key} = {was!r} → {now!r}" for key, (was, now) in r.changed.items())
-    if r.equal:
+    if r.stopped is not None and not r.compared:
+        yield "nothing could be compared"
+    elif r.equal:
         yield f"the same, bit for bit: {r.compared} outputs"
     else:
         kind = "other numbers only" if math.isfinite(r.deviation) else "not only other numbers"

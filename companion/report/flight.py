@@ -363,17 +363,22 @@ def headline(s: Summary, ending: str, last: Status | None, recording: Recording)
     aim = "station" if s.kind == "station" else "target"
     if last is None:
         return "The record is empty" if not recording.steps else "The record ends before anything was decided"
+    reached, missed = (
+        ("Station reached", "Station not reached")
+        if s.kind == "station"
+        else ("Target captured", "Target not captured")
+    )
+    if s.time_s is None and last.engaged_s > 0.0:
+        return f"{reached if s.captured else missed}; how it was engaged is missing in the record"
     if s.time_s is None:
         return f"Never engaged: {ending}"
     flown = f"{s.time_s:.1f} s" if s.path_m is None else f"{s.time_s:.1f} s and {s.path_m:.2f} m"
     if s.captured:
-        reached = "Station reached" if s.kind == "station" else "Target captured"
         ratio = f", {s.path_ratio:.2f} × the shortest path" if s.path_ratio is not None else ""
         return f"{reached} after {flown}{ratio}"
     left = f", {s.final_distance_m:.1f} m from the {aim}" if s.final_distance_m is not None else ""
     if _in_flight(last):
         return f"The record ends in mid-flight ({last.phase.value}) after {flown}{left}"
-    missed = f"{aim.capitalize()} not {'reached' if s.kind == 'station' else 'captured'}"
     return f"{missed}: {ending} after {flown}{left}"
 
 

@@ -120,7 +120,7 @@ def test_a_simulation_has_no_latency(tmp_path: Path) -> None:
     ("outputs", "headline"),
     [
         ([], "The record ends before anything was decided"),
-        ([status(0.0, phase=Phase.AWAIT, estimate=None, reason="waited long enough")],
+        ([status(0.0, phase=Phase.AWAIT, estimate=None, engaged_s=0.0, reason="waited long enough")],
          "Never engaged: waited long enough"),
         ([PhaseChange(0, Phase.STANDBY, Phase.ACQUIRE, "OFFBOARD selected", Severity.NOTICE),
           status(-7000.0), status(-6990.0, path_m=9.2)],
@@ -263,6 +263,21 @@ def test_no_flight_is_told_in_one_line(
     err = capsys.readouterr().err
     assert problem in err and err.count("\n") == 1
     assert not path.with_suffix(".html").exists()
+
+
+def test_a_folder_is_no_flight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert report(tmp_path) == Exit.USAGE and report(".") == Exit.USAGE
+    assert capsys.readouterr().err.count("Is a directory") == 2
+
+
+def test_a_record_that_lacks_its_beginning_claims_nothing_of_it(tmp_path: Path) -> None:
+    numbered = list(enumerate(items()))
+    (tmp_path / "f.mcap").write_bytes(as_bytes(numbered[len(numbered) // 2 :], start()))
+    recording = read(tmp_path / "f.mcap")
+    assert recording.lost_at_first
+    told = flight.of(recording).figures
+    assert told.headline == "Target captured; how it was engaged is missing in the record"
+    assert main(["replay", str(tmp_path / "f.mcap")]) == Exit.USAGE  # nothing can be compared
 
 
 def test_the_flight_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
