@@ -18,6 +18,7 @@ from companion.link.zenoh_ranges import RangeLink
 from companion.operator import OperatorResult
 from companion.settings import RangesSettings
 from companion.types import RangeSample
+from companion.wire_range import RangeMessage, decode
 from tests.core.readme import README, with_table
 from tests.link.test_fly_process import free_port
 from tests.record.flights import flown, in_file
@@ -121,6 +122,15 @@ def test_the_publisher_publishes() -> None:
             link.close()
     assert isinstance(event, RangeSample)
     assert (event.beacon, event.range_m, event.sigma_m) == ("b1", 7.5, 0.07)
+
+
+def test_the_publisher_in_c_writes_ranges() -> None:
+    (code,) = blocks("c")
+    found = re.search(r'snprintf\(text, sizeof text, "(.*?)", name, seq, measured_m', code)
+    assert found is not None
+    text = found[1].replace('\\"', '"') % (0xBEEF, 7, 5.0625)
+    assert len(text) < 128
+    assert decode(text.encode(), "application/json") == RangeMessage("0000beef", 7, 5.062)
 
 
 def test_the_configuration_table_is_the_codes() -> None:
