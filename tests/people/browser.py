@@ -25,7 +25,7 @@ import pytest
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 T = TypeVar("T")
 
-BOUND_S = 20.0
+BOUND_S = 60.0
 """Anything that takes longer has failed."""
 REQUIRED = "COMPANION_REQUIRE_CHROMIUM"
 """Set to 1 (as `.ci/run` does) it makes a missing Chromium a failure, elsewhere the tests are skipped."""
@@ -184,7 +184,7 @@ class Page:
         result = msgspec.convert(told["result"], dict[str, object])
         return msgspec.convert(result.get("value"), kind)
 
-    def wait_for(self, script: str, bound_s: float = BOUND_S) -> None:
+    def wait_for(self, script: str, bound_s: float = 0.8 * BOUND_S) -> None:
         """Wait until this JavaScript expression is true, looked at once a frame. Raises BrowserError."""
         waiting = (
             f"new Promise((done, fail) => {{ const end = performance.now() + {bound_s * 1e3:.0f};"
