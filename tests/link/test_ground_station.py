@@ -180,12 +180,12 @@ def test_mavsdk_on_the_ground_hears_the_companion_through_the_autopilot() -> Non
         )
         try:
             client.add_any_connection(f"udpout://127.0.0.1:{mock.ground_port}")
-            system = client.first_autopilot(20.0)
+            system = client.first_autopilot(60.0)
             assert system is not None
             telemetry.Telemetry(system).subscribe_status_text(note)
-            for i in range(200):
+            for i in range(600):
                 vehicle.send(CompanionHeartbeat(0, SystemStatus.ACTIVE))
-                heard(vehicle)
+                list(vehicle.receive())  # the autopilot is known once it is heard
                 vehicle.send(
                     change(10.0 * i, Phase.APPROACH, Phase.STALL, f"no ranges, {i}", Severity.WARNING)
                 )
