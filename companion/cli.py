@@ -290,6 +290,28 @@ def _parser() -> argparse.ArgumentParser:
         "--plots", metavar="DIR", type=Path, help="draw ECDFs, heat maps and the paper's figures"
     )
 
+    system = _command(
+        actions,
+        "system",
+        commands.bench_system,
+        "the whole app beside the least that the same libraries can do",
+        "companion bench system --plots plots      # about half an hour\n"
+        "  companion bench system --short           # some minutes, good for ratios\n"
+        "  companion bench system --only step --only size --json",
+        "Latency, jitter, CPU, memory, start, pilot.step, simulated flights, size of the installation.\n"
+        "A floor program runs in turn with the app; where a ratio is twice its goal in every turn, the exit\n"
+        "status is 10.",
+    )
+    system.add_argument("--short", action="store_true", help="a few minutes instead of half an hour")
+    system.add_argument(
+        "--only",
+        metavar="PART",
+        action="append",
+        help="only this part; may be repeated: latency, jitter, cpu, step, memory, start, simulation, size",
+    )
+    system.add_argument("--json", action="store_true", help="print one JSON object")
+    system.add_argument("--plots", metavar="DIR", type=Path, help="draw the latencies' ECDFs")
+
     demo = _command(
         verbs,
         "demo",

@@ -362,6 +362,31 @@ def bench_guidance(args: argparse.Namespace) -> int:
     return Exit.OK
 
 
+def bench_system(args: argparse.Namespace) -> int:
+    """The whole app beside the floor."""
+    import msgspec
+
+    from companion.bench.system import bench_system as measure
+    from companion.bench.system.figures import table
+
+    with _Progress("measuring", quiet=args.json) as progress:
+        try:
+            report = measure(args.short, args.only or (), progress.told)
+        except (ValueError, RuntimeError, TimeoutError) as error:
+            raise UsageError(str(error)) from error
+    text = msgspec.json.format(msgspec.json.encode(report)).decode() if args.json else table(report)
+    print(text)
+    if args.plots is not None:
+        from companion.bench.system.pictures import plot
+
+        path = plot(report, args.plots)
+        print(f"wrote {path}" if path else "no plot: the latency was not measured", file=sys.stderr)
+    for figure in report.failed:
+        times = f"{figure.judged:.2f} times the floor, more than twice its goal"
+        print(f"companion: {figure.what}: {times}", file=sys.stderr)
+    return Exit.TOO_SLOW if report.failed else Exit.OK
+
+
 def demo(args: argparse.Namespace) -> int:
     """A whole flight on this machine."""
     from companion.config import ConfigError

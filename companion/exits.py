@@ -17,6 +17,7 @@ class Exit(IntEnum):
     NOT_READY = 7
     DIFFERENT = 8
     FAULTY = 9
+    TOO_SLOW = 10
     INTERRUPTED = 130
 
 
@@ -30,6 +31,7 @@ MEANING = {
     Exit.NOT_READY: "check: not ready to fly",
     Exit.DIFFERENT: "replay: other outputs than recorded",
     Exit.FAULTY: "publish --check, keys: something is wrong with the publisher, certificates or rules",
+    Exit.TOO_SLOW: "bench system: a ratio is twice its goal",
     Exit.INTERRUPTED: "interrupted before a capture",
 }
 """One line each, for `--help`."""

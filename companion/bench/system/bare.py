@@ -1,0 +1,29 @@
+"""The flying loop with its two links and nothing beside it: no record, no status, no view.
+
+python -m companion.bench.system.bare capture.toml
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from companion import config
+from companion.link.mavlink import VehicleLink
+from companion.link.zenoh_ranges import RangeLink
+from companion.live import Bell, live
+from companion.run import run
+
+
+def main(path: Path) -> None:
+    """Fly until killed."""
+    settings = config.load(path, {}, []).config
+    bell = Bell()
+    vehicle = VehicleLink.open(settings.vehicle)
+    ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
+
+    run(live(vehicle, ranges, bell), settings, vehicle.send, lambda _: None)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
