@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from companion.cli import main
 from companion.bench.system import wire
 from companion.bench.system.figures import Figure, Machine, Report, markdown, table
 from companion.bench.system.rig import Heard, Rig
+from companion.cli import main
 from companion.exits import Exit
 
 MS = 1_000_000
