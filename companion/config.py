@@ -125,9 +125,26 @@ def contradictions(c: Settings) -> list[str]:
         for small, low, large, high in pairs
         if low > high
     ]
+    if c.vehicle.kind == "ardupilot":
+        problems += _ardupilot_contradictions(c)
     if c.mission.kind == "capture" and c.mission.target in c.beacons:
         problems += _capture_contradictions(c)
     return problems
+
+
+def _ardupilot_contradictions(c: Settings) -> Iterable[str]:
+    """What ArduCopter does not know, and what its GUIDED mode makes dangerous."""
+    if c.vehicle.setpoint_frame != "body_ned":
+        yield (
+            f"vehicle.setpoint_frame = {c.vehicle.setpoint_frame!r}: vehicle.kind = 'ardupilot' takes "
+            "velocities in all three axes only; set it to 'body_ned'"
+        )
+    for key, value in (
+        ("loss.hand_over_to", c.loss.hand_over_to),
+        ("loss.battery_to", c.loss.battery_to),
+    ):
+        if value == "release":
+            yield f"{key} = 'release': an ArduPilot stays in GUIDED after that; allowed: 'land', 'hold'"
 
 
 def _capture_contradictions(c: Settings) -> Iterable[str]:

@@ -80,13 +80,21 @@ def shortfalls(
     cfg: VehicleSettings, hand_over_to: Literal["land", "hold", "release"], e: EstimatorReport
 ) -> Iterator[Shortfall]:
     """What the estimate lacks for this flight."""
+    is_px4 = cfg.kind == "px4"
     if not e.velocity:
         yield Shortfall(
             "velocity",
             "not valid",
-            'OFFBOARD cannot run. PX4 then says "no offboard signal", though setpoints arrive.',
-            "wait for GPS, or give it optical flow or vision (EKF2_OF_CTRL; EKF2_EV_CTRL = 15, "
-            "EKF2_HGT_REF = 3, EKF2_MAG_TYPE = 5 and ODOMETRY at 25 Hz or more)",
+            'OFFBOARD cannot run. PX4 then says "no offboard signal", though setpoints arrive.'
+            if is_px4
+            else "GUIDED cannot run.",
+            "wait for GPS, or give it optical flow or vision "
+            + (
+                "(EKF2_OF_CTRL; EKF2_EV_CTRL = 15, EKF2_HGT_REF = 3, EKF2_MAG_TYPE = 5 and ODOMETRY at 25 Hz "
+                "or more)"
+                if is_px4
+                else "(EK3_SRC1_VELXY = 5 with FLOW_TYPE; EK3_SRC1_POSXY = 6 with VISO_TYPE)"
+            ),
             vital=True,
         )
     if not (e.position and e.height) and cfg.setpoint_frame == "local_ned":
@@ -104,7 +112,8 @@ def shortfalls(
             "not there",
             "Hold and Return are not available without it"
             + (", and the hand-over asks for Hold (loss.hand_over_to)." if asks else "."),
-            "set COM_OBL_RC_ACT = 4 (Land)" + (' and loss.hand_over_to = "land"' if asks else ""),
+            ("set COM_OBL_RC_ACT = 4 (Land)" if is_px4 else "set FS_GCS_ENABLE = 5 (Land)")
+            + (' and loss.hand_over_to = "land"' if asks else ""),
             vital=False,
         )
 

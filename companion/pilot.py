@@ -105,12 +105,18 @@ def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
     outputs: list[Output] = [] if change is None else [change]
     if isinstance(event, RangeSample):
         outputs.append(_verdict(s, event))
-    if due and s.phase in phase.STREAMING:
+    if due and s.phase in _streaming(p):
         s, setpoint = _setpoint(p, s, t_ns)
         outputs.append(setpoint)
     return _upkeep(p, s, t_ns, outputs)
 
 
+def _streaming(p: Plan) -> frozenset[Phase]:
+    """ArduPilot's GUIDED needs no stream to be entered, and a standstill would break a take-off in it."""
+    return _ENGAGED if p.settings.vehicle.kind == "ardupilot" else phase.STREAMING
+
+
+_ENGAGED = phase.STREAMING - {Phase.STANDBY}
 _MERE_TELEMETRY = frozenset(
     {Attitude, LocalMotion, Malformed, BatteryReport, EstimatorReport, PartyHeard, AutopilotWords}
 )
@@ -168,8 +174,14 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
     return s
 
 
+_GROUNDED = frozenset({Landed.ON_GROUND})
+_NOT_UP = frozenset({Landed.ON_GROUND, Landed.TAKING_OFF, Landed.UNKNOWN})
+"""ArduPilot takes off in GUIDED: there only a vehicle that is known to be up is engaged."""
+
+
 def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     cfg = p.settings.loss
+    ardupilot = p.settings.vehicle.kind == "ardupilot"
     v = _as_if_selected(s) if p.settings.mission.shadow else s.vehicle
     range_age_s = age_s(s.ranging.t_enough_ns, t_ns)
     bearing_lost = False
@@ -182,13 +194,15 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     else:
         ranges = Ranges.STALE if range_age_s <= cfg.hand_over_after_s else Ranges.LOST
     in_phase_s, sent = age_s(s.t_phase_ns, t_ns), s.steering.setpoint
-    return Facts(
+    since_sent_s = age_s(None if sent is None else sent.t_ns, t_ns)
+    held_up = s.phase in _streaming(p) and min(in_phase_s, since_sent_s) > cfg.held_up_after_s
+    facts = Facts(
         stop_asked=s.flight.stop_asked,
         vehicle_gone=age_s(v.t_link_ns, t_ns) > cfg.vehicle_after_s,
         actual=v.actual,
         intended=v.intended,
         armed=v.armed,
-        grounded=v.landed is Landed.ON_GROUND,
+        grounded=v.landed in (_NOT_UP if ardupilot else _GROUNDED),
         was_engaged=s.flight.was_engaged,
         waited_out=in_phase_s > cfg.wait_s and not s.flight.was_ready,
         telemetry_late=age_s(v.t_attitude_ns, t_ns) > cfg.telemetry_after_s,
@@ -199,13 +213,22 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         hand_over_overdue=s.phase in phase.ASKING
         and (s.flight.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
         purpose=s.steering.command.purpose,
-        held_up=s.phase in phase.STREAMING
-        and min(in_phase_s, age_s(None if sent is None else sent.t_ns, t_ns)) > cfg.held_up_after_s,
+        held_up=held_up,
         rebooted=s.health.t_reboot_ns is not None and s.health.t_reboot_ns > (s.t_phase_ns or 0),
         company=who(p, s, t_ns),
         battery_low=battery_low(s.health, cfg),
         estimate_invalid=_estimate_invalid(p, s, t_ns),
     )
+    return _insisting(facts) if ardupilot and s.phase.is_engaged else facts
+
+
+def _insisting(f: Facts) -> Facts:
+    """ArduCopter stops without setpoints and stays in GUIDED: silence is no way out for it.
+
+    What silences the app with a PX4 hands over here, and a hand-over goes on until another mode is in effect.
+    """
+    spent = f.budget_spent or f.vehicle_gone or f.held_up
+    return replace(f, vehicle_gone=False, held_up=False, hand_over_overdue=False, budget_spent=spent)
 
 
 def _estimate_invalid(p: Plan, s: State, t_ns: int) -> bool:
@@ -284,6 +307,9 @@ def _upkeep(p: Plan, s: State, t_ns: int, outputs: list[Output]) -> tuple[State,
         s = replace(s, flight=replace(f, t_heartbeat_ns=t_ns))
     if s.phase in phase.ASKING and age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S:
         mode = _HAND_OVER_MODE.get(s.flight.hand_over_to)
+        insists = p.settings.vehicle.kind == "ardupilot"
+        if insists and age_s(s.t_phase_ns, t_ns) > p.settings.loss.hand_over_patience_s:
+            mode = FlightMode.AUTO_LAND  # what was asked for did not come
         if mode is not None:
             outputs.append(ModeRequest(t_ns=t_ns, mode=mode))
             s = replace(s, flight=replace(s.flight, t_request_ns=t_ns))

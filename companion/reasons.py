@@ -50,7 +50,7 @@ def _reason(p: Plan, s: State, condition: Condition, t_ns: int) -> str:
     if condition in _LOSSES:
         return with_the_silent(p, s, t_ns, text)
     if condition is Condition.BUDGET_SPENT:
-        return limits.spent(p.settings.limits, s.steering.limits, t_ns) or text
+        return limits.spent(p.settings.limits, s.steering.limits, t_ns) or _spent_silence(p, s, t_ns)
     if condition is Condition.BATTERY_LOW:
         return f"battery {battery_words(h)}"
     if condition is Condition.SECOND_COMMANDER and h.commander is not None:
@@ -74,6 +74,14 @@ def _bearing(p: Plan, s: State, text: str) -> str:
         return text
     what, colon, then = text.partition(":")
     return f"{what} (± {math.degrees(known.sigma_theta_rad):.0f}°){colon}{then}"
+
+
+def _spent_silence(p: Plan, s: State, t_ns: int) -> str:
+    """Why a vehicle that only a mode change can stop is handed over (`pilot` counts silence as spent)."""
+    sent = s.steering.setpoint
+    if age_s(None if sent is None else sent.t_ns, t_ns) > p.settings.loss.held_up_after_s:
+        return "this app did not run for a while"
+    return Condition.VEHICLE_GONE.value
 
 
 def _left(p: Plan, s: State, t_ns: int) -> str:

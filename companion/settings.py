@@ -266,6 +266,15 @@ class VehicleSettings(Table, frozen=True):
         str,
         Meta(description="`udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`."),
     ] = "udpin:0.0.0.0:14540"
+    kind: Annotated[
+        Literal["px4", "ardupilot"],
+        Meta(
+            description=(
+                "Whose modes and rules: PX4 (OFFBOARD) or ArduCopter (GUIDED, not flown yet; it needs "
+                '`setpoint_frame = "body_ned"`).'
+            )
+        ),
+    ] = "px4"
     setpoint_frame: Annotated[
         Literal["local_ned", "body_ned"],
         Meta(

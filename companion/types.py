@@ -108,6 +108,7 @@ class Defect(Enum):
     BEACON_INFO = "unreadable info of a beacon"
     MAVLINK_BYTES = "not MAVLink"
     MAVLINK_FIELD = "MAVLink field not finite"
+    MAVLINK_VENDOR = "HEARTBEAT of another kind of autopilot than vehicle.kind"
     MAVLINK_SIGNATURE = "MAVLink signature missing or wrong"
 
 

@@ -99,6 +99,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--zenoh-listen", metavar="EP", action="append", help="tcp/127.0.0.1:7447 unless one is connected to")
     add("--zenoh-connect", metavar="EP", action="append", default=[], help="a peer or router to connect to")
+    add(
+        "--autopilot",
+        choices=("px4", "ardupilot"),
+        default="px4",
+        help="whose rules: PX4, as recorded, or ArduCopter's GUIDED, from its source (%(default)s)",
+    )
     add("--site", default="lab", help="the site in the ranges' key (%(default)s)")
     add("--tag", default="drone", help="the tag in the ranges' key (%(default)s)")
     add("--seed", type=int, default=1, help="of every random draw (%(default)s)")
@@ -149,6 +155,7 @@ def main(argv: list[str] | None = None) -> int:
             tuple(args.zenoh_connect),
             args.site,
             args.tag,
+            args.autopilot,
         )
         wire = Wire(scenario, args.seed, endpoints, faults, params, args.truth_log)
     except (ValueError, OSError) as error:

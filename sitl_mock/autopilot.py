@@ -34,6 +34,8 @@ _RETURN_REACHED_M = 0.5
 # Shares of MPC_TKO_RAMP_T: after the first the vehicle rises, within the second it gets to speed; recorded.
 _RAMP_START, _RAMP_RISE = 0.6, 0.75
 
+_AFTER_TAKE_OFF = frozenset({Mode.LOITER, Mode.OFFBOARD})
+"""PX4 and ArduCopter go on to the height of a take-off in these."""
 _LIFTING = frozenset({Mode.TAKEOFF, Mode.OFFBOARD})
 """The modes that leave the ground."""
 _LEVEL = frozenset({Mode.DESCEND, Mode.ALTCTL, Mode.MANUAL, Mode.STABILIZED, Mode.ACRO})
@@ -125,7 +127,7 @@ class Autopilot:
             self._hold_x, self._hold_y = x, y
             if self._take_off_height is None:
                 self.set_take_off(None)
-        elif mode is Mode.LOITER and self._take_off_height is not None and self.take_off_done:
+        elif mode in _AFTER_TAKE_OFF and self._take_off_height is not None and self.take_off_done:
             self._hold_x, self._hold_y, self._hold_height = x, y, self._take_off_height
         else:
             self._hold_height = height

@@ -14,17 +14,31 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from sitl_mock import ardupilot
+from sitl_mock.ardupilot import ArduPilot
 from sitl_mock.autopilot import Target
 from sitl_mock.faults import Fault
 from sitl_mock.modes import BY_CUSTOM, Mode, Result
 from sitl_mock.px4 import Px4
-from sitl_mock.streams import BUILDERS, GCS_HZ, MOTION, ONBOARD_HZ, ORIGIN_ALTITUDE_M, Message, view
+from sitl_mock.streams import (
+    ARDUPILOT_BUILDERS,
+    BUILDERS,
+    GCS_HZ,
+    MOTION,
+    ONBOARD_HZ,
+    ORIGIN_ALTITUDE_M,
+    Message,
+    view,
+)
 from sitl_mock.vehicle import STEP_S, wrap
 
 _FORCE_DISARM = 21196.0
 _PARAMS_PER_STEP = 5
 # Type-mask bits of SET_POSITION_TARGET_LOCAL_NED.
 _POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _YAW_RATE = 0x007, 0x038, 0x1C0, 0x200, 0x400, 0x800
+
+
+_PX4_FRAMES = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED)
 
 
 def _number(value: float) -> int:
@@ -70,7 +84,8 @@ class Protocol:
     def __init__(self, px4: Px4) -> None:
         self.px4 = px4
         motion = px4.scenario.telemetry != "none"
-        self._builders = {i: b for i, b in BUILDERS.items() if motion or i not in MOTION}
+        builders = ARDUPILOT_BUILDERS if px4.is_ardupilot else BUILDERS
+        self._builders = {i: b for i, b in builders.items() if motion or i not in MOTION}
         px4.on_reboot = self._reset
         self._out: list[Outgoing] = []
         self._steps = 0
@@ -95,11 +110,11 @@ class Protocol:
             self._command(*self._commands.popleft())
         self.px4.step()
         for notice in self.px4.notices:
-            for link in self._gcs_seen:
+            for link in Link if self.px4.is_ardupilot else self._gcs_seen:
                 text = notice.text.encode()[:50]
                 self._send(link, mavlink.MAVLink_statustext_message(notice.severity, text))
         self.px4.notices.clear()
-        for event in self.px4.events:
+        for event in () if self.px4.is_ardupilot else self.px4.events:
             self._event_sequence += 1
             for link in Link:
                 self._send(link, event.message(round(self.px4.boot_s * 1e3), self._event_sequence))
@@ -149,7 +164,8 @@ class Protocol:
                     self._ack(link, message, Result.ACCEPTED)
                 self._commands.append((link, message))
         elif kind == "SET_MODE":
-            mode = BY_CUSTOM.get((message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF))
+            custom = message.custom_mode
+            mode = self._mode(custom >> 16 & 0xFF, custom >> 24 & 0xFF)
             if mode is not None:
                 self.px4.set_mode(mode)
         elif kind == "HEARTBEAT":
@@ -199,15 +215,23 @@ class Protocol:
 
     # --------------------------------------------------------------------------------------- setpoints
 
+    def _mode(self, main: int, sub: int) -> Mode | None:
+        """The mode that a command asks for."""
+        return ardupilot.BY_NUMBER.get(main) if self.px4.is_ardupilot else BY_CUSTOM.get((main, sub))
+
     def _setpoint(self, m: Message) -> None:
-        if m.coordinate_frame not in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED):
+        if isinstance(self.px4, ArduPilot) and not ardupilot.usable(m):
+            self.px4.stop()
+            return
+        frames = ardupilot.FRAMES if self.px4.is_ardupilot else _PX4_FRAMES
+        if m.coordinate_frame not in frames:
             self._say(f"coordinate frame {m.coordinate_frame} unsupported")
             return
         mask = m.type_mask
         if mask & _FORCE and mask & _ACCELERATION != _ACCELERATION:
             self._say("force not supported")
             return
-        body = m.coordinate_frame == mavlink.MAV_FRAME_BODY_NED
+        body = m.coordinate_frame in (mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)
         position = not body and mask & _POSITION != _POSITION
         velocity = mask & _VELOCITY != _VELOCITY
         if not (position or velocity or mask & _ACCELERATION != _ACCELERATION):
@@ -264,7 +288,7 @@ class Protocol:
         long = m.get_type() == "COMMAND_LONG"
         if command == mavlink.MAV_CMD_DO_SET_MODE:
             custom = _number(m.param1) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-            mode = BY_CUSTOM.get((_number(m.param2), _number(m.param3))) if custom else None
+            mode = self._mode(_number(m.param2), _number(m.param3)) if custom else None
             return Result.DENIED if mode is None else px4.set_mode(mode)
         if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             if m.param1 >= 0.5:
@@ -272,7 +296,8 @@ class Protocol:
             return px4.disarm(force=m.param2 == _FORCE_DISARM)
         if command == mavlink.MAV_CMD_NAV_TAKEOFF:
             altitude = m.param7 if long else m.z
-            return px4.take_off(altitude - ORIGIN_ALTITUDE_M if isfinite(altitude) else None)
+            origin_m = 0.0 if px4.is_ardupilot else ORIGIN_ALTITUDE_M  # ArduCopter: above home
+            return px4.take_off(altitude - origin_m if isfinite(altitude) else None)
         if command == mavlink.MAV_CMD_NAV_LAND:
             return px4.set_mode(Mode.LAND)
         if command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
@@ -299,7 +324,7 @@ class Protocol:
     def _set_interval(self, link: Link, message_id: int, interval_us: float) -> Result:
         if message_id not in self._builders:
             return Result.FAILED
-        if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+        if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT and not self.px4.is_ardupilot:
             return Result.ACCEPTED  # recorded: its rate cannot be changed
         streams = self._streams[link]
         default = _RATES[link].get(message_id)

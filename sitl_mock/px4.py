@@ -8,7 +8,7 @@ Frames as everywhere: x East, y North, height up, heading counter-clockwise from
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from companion.types import Charge, Landed
 from sitl_mock import px4_events as told
@@ -58,6 +58,9 @@ class Px4:
     `notices` collects what it says to people, `events` the same for a companion; `on_reboot` is called when
     it restarts.
     """
+
+    is_ardupilot: ClassVar = False
+    after_take_off: ClassVar = Mode.LOITER
 
     def __init__(
         self, scenario: Scenario, seed: int, vehicle: Vehicle, params: Params, faults: Faults
@@ -281,7 +284,7 @@ class Px4:
                 self.events.append(told.TAKE_OFF)
         self.vehicle.step()
         if self.mode is Mode.TAKEOFF and self.armed and self.autopilot.take_off_done:
-            self.intended = Mode.LOITER
+            self.intended = self.after_take_off
             self._after_disarm = Mode.LOITER
             self._choose_mode()
         self._detect_landing()

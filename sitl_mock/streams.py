@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.types import Charge, Landed
+from sitl_mock import ardupilot
 from sitl_mock.faults import Fault
 from sitl_mock.modes import WIRE
 from sitl_mock.px4 import Px4
@@ -331,6 +332,16 @@ BUILDERS: dict[int, Callable[[Px4, View], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: _current_mode,
 }
 """How every message that can be streamed or requested is made; None: there is nothing to tell now."""
+
+ARDUPILOT_BUILDERS: dict[int, Callable[[Px4, View], Message | None]] = {
+    i: b
+    for i, b in BUILDERS.items()
+    if i not in (mavlink.MAVLINK_MSG_ID_CURRENT_MODE, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+} | {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: lambda px4, _: ardupilot.heartbeat(px4),
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: lambda px4, _: ardupilot.ekf_status(px4),
+}
+"""ArduCopter's: EKF_STATUS_REPORT comes in the place of ESTIMATOR_STATUS."""
 
 MOTION = frozenset(
     {

@@ -23,6 +23,7 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from companion.types import LineOfSight
 from companion.wire_range import RangeMessage, encode, range_key
+from sitl_mock.ardupilot import ArduPilot
 from sitl_mock.clock import Clock
 from sitl_mock.faults import Fault, FaultAt, Faults
 from sitl_mock.modes import WIRE
@@ -53,6 +54,8 @@ class Endpoints:
     zenoh_connect: tuple[str, ...] = ()
     site: str = "lab"
     tag: str = "drone"
+    autopilot: str = "px4"
+    """`px4` or `ardupilot`."""
 
 
 def _parse(datagram: bytes) -> list[Message]:
@@ -216,7 +219,8 @@ class Wire:
         params = params or Params()
         self.faults = Faults(faults)
         self.vehicle = Vehicle(scenario, x, y, 0.0, heading)
-        self.px4 = Px4(scenario, seed, self.vehicle, params, self.faults)
+        kind = ArduPilot if endpoints.autopilot == "ardupilot" else Px4
+        self.px4 = kind(scenario, seed, self.vehicle, params, self.faults)
         self._protocol = Protocol(self.px4)
         self._visitors = Visitors(self.faults)
         urls = {Link.ONBOARD: endpoints.onboard, Link.GCS: endpoints.gcs}

@@ -16,6 +16,7 @@ from companion.types import (
     BatteryReport,
     EstimatorReport,
     Event,
+    FlightMode,
     LandedReport,
     LineOfSight,
     LocalMotion,
@@ -24,11 +25,14 @@ from companion.types import (
     Output,
     Party,
     PartyHeard,
+    Phase,
     RangeSample,
     Setpoint,
+    Status,
     Tick,
     VehicleHeartbeat,
 )
+from sitl_mock.ardupilot import ArduPilot
 from sitl_mock.autopilot import Target
 from sitl_mock.clock import Clock
 from sitl_mock.faults import Fault, FaultAt, Faults
@@ -75,6 +79,9 @@ def start_pose(scenario: Scenario, seed: int) -> tuple[float, float, float]:
 class World:
     """A flight that begins armed and hovering at `start_height_m` in AUTO.LOITER.
 
+    With an ArduPilot it begins on the ground, disarmed, as an app that starts in the air stays silent there:
+    the person selects GUIDED, arms and takes off once the app stands by.
+
     Its person selects OFFBOARD once setpoints have streamed for half a second, and again whenever `engage` is
     called. The same scenario, seed, faults and outputs give the same events, bit for bit.
     """
@@ -85,13 +92,18 @@ class World:
         seed: int,
         faults: Iterable[FaultAt] = (),
         params: dict[str, int | float] | None = None,
+        autopilot: str = "px4",
     ) -> None:
         x, y, heading = start_pose(scenario, seed)
         self.scenario = scenario
         self.faults = Faults(faults)
-        self.vehicle = Vehicle(scenario, x, y, scenario.start_height_m, heading)
-        self.px4 = Px4(scenario, seed, self.vehicle, Params(params), self.faults)
-        self.px4.start_in_air()
+        self._is_ardupilot = autopilot == "ardupilot"
+        height_m = 0.0 if self._is_ardupilot else scenario.start_height_m
+        self.vehicle = Vehicle(scenario, x, y, height_m, heading)
+        kind = ArduPilot if self._is_ardupilot else Px4
+        self.px4 = kind(scenario, seed, self.vehicle, Params(params), self.faults)
+        if not self._is_ardupilot:
+            self.px4.start_in_air()
         self.beacons = [Beacon(at, scenario, seed, self.faults) for at in scenario.beacons]
         self.truth: list[TruthSample] = []
         """The truth so far, 50 Hz; grows as the events are drawn."""
@@ -99,6 +111,7 @@ class World:
         """When OFFBOARD was selected first."""
         self._stream_since: int | None = None
         self._last_setpoint = 0
+        self._stands_by = False
         self._step = 0
         self._sample()
 
@@ -143,6 +156,8 @@ class World:
                     yaw_rate_rad_s=output.yaw_rate_rad_s,
                 )
             )
+        elif isinstance(output, Status):
+            self._stands_by = output.phase is Phase.STANDBY
         elif isinstance(output, ModeRequest):
             mode = BY_NAME.get(output.mode)
             heard = not (self.px4.booting or self.faults.active(Fault.LINK_LOSS))
@@ -161,7 +176,8 @@ class World:
         """Everything that reaches the app, in the order of time, until `limit_s`."""
         s, px4 = self.scenario, self.px4
         told = s.telemetry != "none"
-        heartbeat, mode, landed, tick = Clock(1.0), Clock(20.0), Clock(5.0), Clock(50.0)
+        heartbeat = Clock(5.0 if self._is_ardupilot else 1.0)
+        mode, landed, tick = Clock(20.0), Clock(5.0), Clock(50.0)
         attitude, motion, truth = Clock(50.0), Clock(30.0), Clock(50.0)
         count = len(self.beacons)
         ranges = [(b, Clock(s.range_rate_hz, i / count)) for i, b in enumerate(self.beacons)]
@@ -186,7 +202,7 @@ class World:
 
             beat = heartbeat.at <= step and heartbeat.due(step)
             if beat and reachable and not self.faults.active(Fault.HEARTBEAT_STOP):
-                yield VehicleHeartbeat(t_ns, 1, WIRE[px4.mode].name, px4.armed)
+                yield VehicleHeartbeat(t_ns, 1, self._told(px4.mode), px4.armed)
             elif beat and not self.is_ours:
                 yield PartyHeard(t_ns, Party.AUTOPILOT, OTHER_SYSTEM, 1, "HEARTBEAT")
             if beat and telling:
@@ -194,7 +210,9 @@ class World:
                 local, everywhere = px4.velocity_valid, px4.global_position_valid
                 yield EstimatorReport(t_ns, local, local, height=True, global_position=everywhere)
             modes = (px4.mode, px4.intended)
-            if ((mode.at <= step and mode.due(step)) or modes != last_modes) and telling:
+            if self._is_ardupilot:
+                pass  # it tells its mode by HEARTBEAT alone
+            elif ((mode.at <= step and mode.due(step)) or modes != last_modes) and telling:
                 last_modes = modes
                 yield ModeReport(t_ns, WIRE[px4.mode].name, WIRE[px4.intended].name)
             if landed.at <= step and landed.due(step) and telling:
@@ -221,7 +239,24 @@ class World:
         inside = [p for p in self.truth if since_s <= p.t_s <= last]
         return sum(hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(inside))
 
+    def _told(self, mode: Mode) -> FlightMode:
+        """The mode as HEARTBEAT tells it: ArduCopter takes off in GUIDED."""
+        return FlightMode.OFFBOARD if mode is Mode.TAKEOFF and self._is_ardupilot else WIRE[mode].name
+
+    def _take_off(self) -> None:
+        """The person of an ArduPilot: GUIDED, arm, take off, once; the app engages when it is up."""
+        if not self.px4.armed and self.engaged_at_s is None:
+            self.px4.set_mode(Mode.OFFBOARD)
+            self.px4.arm()
+            self.px4.take_off(self.scenario.start_height_m)
+        elif self.px4.mode is Mode.OFFBOARD and self.engaged_at_s is None:
+            self.engaged_at_s = self.t_s
+
     def _person(self) -> None:
+        if self._is_ardupilot:
+            if self._stands_by or self.px4.armed:
+                self._take_off()
+            return
         since = self._stream_since
         if self.engaged_at_s is None and since is not None:
             if (self._step - self._last_setpoint) * STEP_S > _STREAM_GAP_S:

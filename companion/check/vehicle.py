@@ -15,6 +15,8 @@ from companion.types import Charge, FlightMode, Landed
 _LOW_SHARE = 0.3
 """Below this a flight should not begin; PX4 itself warns at BAT_LOW_THR, 15 %."""
 _MUCH_LOST = 0.02
+_VENDOR = {"px4": "PX4", "ardupilot": "ArduPilot"}
+"""What `vehicle.kind` says of itself in HEARTBEAT.autopilot."""
 
 
 def judge(settings: Settings, found: VehicleFindings, is_signing: bool, watched_s: float) -> Iterator[Row]:
@@ -132,17 +134,28 @@ def _others(settings: Settings, found: VehicleFindings) -> Iterator[Row]:
 def _autopilot(settings: Settings, found: VehicleFindings, watched_s: float) -> Iterator[Row]:
     name = f"{found.vendor} {found.version}" if found.version else found.vendor
     who = f"{name}, {found.kind}, system {found.system_id}"
-    if not found.is_px4:
+    wanted = _VENDOR[settings.vehicle.kind]
+    if found.vendor != wanted:
+        other = next((kind for kind, vendor in _VENDOR.items() if vendor == found.vendor), None)
         yield Row(
             Part.AUTOPILOT,
             "autopilot",
             State.FAIL,
             who,
-            "Its modes and parameters are not those of PX4: the app would never engage.",
-            "fly it with a PX4",
+            f"Its modes are not those of {wanted}: the app would never engage.",
+            f'set vehicle.kind = "{other}"' if other else "fly it with a PX4",
         )
     else:
         yield Row(Part.AUTOPILOT, "autopilot", State.OK, who)
+    if found.vendor == "ArduPilot":
+        yield Row(
+            Part.AUTOPILOT,
+            "loss of this app",
+            State.WARN,
+            "parameters are not read",
+            "When setpoints stop, ArduCopter stops after GUID_TIMEOUT (3 s) and stays in GUIDED.",
+            f"set FS_GCS_ENABLE = 5 and SYSID_MYGCS = {found.system_id}: without our HEARTBEAT it lands",
+        )
     if found.version is None:
         yield never_came(
             Part.AUTOPILOT,

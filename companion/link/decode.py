@@ -9,23 +9,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.link.modes import px4_mode
+from companion.link.modes import Dialect
 from companion.link.px4_events import event_words
 from companion.types import (
     Attitude,
     AutopilotWords,
     BatteryReport,
     Charge,
+    Defect,
     EstimatorReport,
     Event,
-    FlightMode,
     Landed,
     LandedReport,
     LocalMotion,
+    Malformed,
     ModeReport,
     VehicleHeartbeat,
 )
@@ -48,17 +50,19 @@ def heading_from_yaw(yaw_ned_rad: float) -> float:
     return math.pi if wrapped == -math.pi else wrapped
 
 
-def heartbeat(m: Any, t_ns: int) -> Event | None:
-    """HEARTBEAT."""
-    mode = px4_mode(m.custom_mode) if m.autopilot == mavlink.MAV_AUTOPILOT_PX4 else FlightMode.OTHER
+def heartbeat(dialect: Dialect, m: Any, t_ns: int) -> Event:
+    """HEARTBEAT; of an autopilot of another kind its modes would be misread, so that one is not believed."""
+    if m.autopilot != dialect.vendor:
+        return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_VENDOR, detail=f"autopilot {m.autopilot}")
     armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    mode = dialect.mode(m.custom_mode)
     return VehicleHeartbeat(t_ns=t_ns, system_id=m.get_srcSystem(), mode=mode, armed=armed)
 
 
-def current_mode(m: Any, t_ns: int) -> Event | None:
+def current_mode(dialect: Dialect, m: Any, t_ns: int) -> Event:
     """CURRENT_MODE; an intended mode of 0 is not told."""
-    intended = px4_mode(m.intended_custom_mode) if m.intended_custom_mode else None
-    return ModeReport(t_ns=t_ns, actual=px4_mode(m.custom_mode), intended=intended)
+    intended = dialect.mode(m.intended_custom_mode) if m.intended_custom_mode else None
+    return ModeReport(t_ns=t_ns, actual=dialect.mode(m.custom_mode), intended=intended)
 
 
 def extended_sys_state(m: Any, t_ns: int) -> Event | None:
@@ -137,17 +141,24 @@ def event(m: Any, t_ns: int) -> Event | None:
     return AutopilotWords(t_ns=t_ns, text=text) if text else None
 
 
-DECODERS: dict[str, Decoder] = {
-    "HEARTBEAT": heartbeat,
-    "CURRENT_MODE": current_mode,
+_DECODERS: dict[str, Decoder] = {
     "EXTENDED_SYS_STATE": extended_sys_state,
     "ATTITUDE": attitude,
     "LOCAL_POSITION_NED": local_position,
     "SYS_STATUS": sys_status,
     "BATTERY_STATUS": battery_status,
     "ESTIMATOR_STATUS": estimator_status,
+    "EKF_STATUS_REPORT": estimator_status,
 }
-"""What must have usable numbers: None from these is a malformed message."""
+
+
+def decoders(dialect: Dialect) -> dict[str, Decoder]:
+    """What must have usable numbers: None from these is a malformed message."""
+    return _DECODERS | {
+        "HEARTBEAT": partial(heartbeat, dialect),
+        "CURRENT_MODE": partial(current_mode, dialect),
+    }
+
 
 WORDS: dict[str, Decoder] = {"STATUSTEXT": statustext, "EVENT": event}
 """What may have nothing to say."""

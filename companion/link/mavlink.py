@@ -14,9 +14,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.link.decode import DECODERS, WORDS, heading_from_yaw
+from companion.link.decode import WORDS, decoders, heading_from_yaw
 from companion.link.ground_station import GroundStation
-from companion.link.modes import PX4_CUSTOM
+from companion.link.modes import DIALECTS
 from companion.link.signing import REFUSALS, SignedMavlink, is_signed
 from companion.link.transport import Transport, open_transport
 from companion.settings import VehicleSettings
@@ -79,7 +79,9 @@ class VehicleLink:
         self._mav.srcSystem = settings.target_system or 1  # we are part of its system
         self._mav.robust_parsing = True
         self._target_system = settings.target_system
-        self._wanted_hz = {
+        self._dialect = DIALECTS[settings.kind]
+        self._decoders = decoders(self._dialect)
+        self._wanted_hz = self._dialect.rates_hz | {
             mavlink.MAVLINK_MSG_ID_ATTITUDE: settings.telemetry_rate_hz,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: settings.telemetry_rate_hz,
             mavlink.MAVLINK_MSG_ID_CURRENT_MODE: _MODE_RATE_HZ,
@@ -126,7 +128,7 @@ class VehicleLink:
         system, component = m.get_srcSystem(), m.get_srcComponent()
         if component != mavlink.MAV_COMP_ID_AUTOPILOT1 or self._target_system not in (0, system):
             return self._party(m, kind, t_ns)
-        decode = DECODERS.get(kind)
+        decode = self._decoders.get(kind)
         if decode is None:
             words = WORDS.get(kind)
             return None if words is None or self._target_system == 0 else words(m, t_ns)
@@ -135,7 +137,8 @@ class VehicleLink:
         if self._target_system == 0:
             if kind != "HEARTBEAT":
                 return None
-            self._adopt(system)
+            if m.autopilot == self._dialect.vendor:
+                self._adopt(system)
         if m.get_msgId() in self._counts:
             self._counts[m.get_msgId()] += 1
         if kind == "HEARTBEAT":
@@ -203,9 +206,7 @@ class VehicleLink:
                 )
             )
         elif isinstance(output, ModeRequest):
-            main, sub = PX4_CUSTOM[output.mode]
-            base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-            self._command(mavlink.MAV_CMD_DO_SET_MODE, base, main, sub)
+            self._command(mavlink.MAV_CMD_DO_SET_MODE, *self._dialect.request(output.mode))
         elif self._ground is not None and self._target_system:  # nobody would hear it before
             for message in self._ground.messages(output):
                 self._send(message)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import development as mavlink
+
 from companion.types import FlightMode
 
 _PX4_MODES = {
@@ -28,3 +33,61 @@ def px4_mode(custom_mode: int) -> FlightMode:
     """PX4's custom_mode as a flight mode."""
     main, sub = (custom_mode >> 16) & 0xFF, (custom_mode >> 24) & 0xFF
     return _PX4_MODES.get((main, sub if main == 4 else 0), FlightMode.OTHER)
+
+
+def _px4_parameters(mode: FlightMode) -> tuple[float, ...]:
+    return (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *PX4_CUSTOM[mode])
+
+
+_ARDUPILOT_MODES = {
+    0: FlightMode.STABILIZED,
+    1: FlightMode.ACRO,
+    2: FlightMode.ALTCTL,
+    3: FlightMode.AUTO_MISSION,
+    4: FlightMode.OFFBOARD,
+    5: FlightMode.POSCTL,
+    6: FlightMode.AUTO_RTL,
+    9: FlightMode.AUTO_LAND,
+    16: FlightMode.POSCTL,
+    17: FlightMode.AUTO_LOITER,
+    21: FlightMode.AUTO_RTL,
+}
+"""ArduCopter's custom_mode → mode. GUIDED (4) is OFFBOARD; LOITER (5) and POSHOLD (16) obey the sticks,
+BRAKE (17) holds whatever the throttle stick says."""
+
+_ARDUPILOT_NUMBER = {FlightMode.AUTO_LAND: 9, FlightMode.AUTO_LOITER: 17}
+"""The modes that are asked for."""
+
+
+def ardupilot_mode(custom_mode: int) -> FlightMode:
+    """ArduCopter's custom_mode as a flight mode."""
+    return _ARDUPILOT_MODES.get(custom_mode, FlightMode.OTHER)
+
+
+def _ardupilot_parameters(mode: FlightMode) -> tuple[float, ...]:
+    return (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, _ARDUPILOT_NUMBER[mode])
+
+
+class Dialect(NamedTuple):
+    """How one kind of autopilot speaks of modes."""
+
+    vendor: int
+    """MAV_AUTOPILOT in its HEARTBEAT."""
+    mode: Callable[[int], FlightMode]
+    """custom_mode → mode."""
+    request: Callable[[FlightMode], tuple[float, ...]]
+    """Mode → the parameters of MAV_CMD_DO_SET_MODE."""
+    rates_hz: dict[int, float]
+    """Messages that are asked for besides those of every autopilot."""
+
+
+DIALECTS = {
+    "px4": Dialect(mavlink.MAV_AUTOPILOT_PX4, px4_mode, _px4_parameters, {}),
+    "ardupilot": Dialect(
+        mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        ardupilot_mode,
+        _ardupilot_parameters,
+        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 5.0},  # its mode is told there; EKF_STATUS_REPORT streams anyway
+    ),
+}
+"""By `vehicle.kind`."""

@@ -17,7 +17,7 @@ import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link import decode
-from companion.link.modes import px4_mode
+from companion.link.modes import ardupilot_mode, px4_mode
 from companion.link.signing import REFUSALS, SignedMavlink
 from companion.link.transport import Transport, open_transport
 from companion.link.zenoh_ranges import RangeLink
@@ -137,10 +137,14 @@ class VehicleSurvey:
         """Messages and parameters that have not come yet, by name."""
         if self.found.t_found_ns is None:
             return ["HEARTBEAT"]
-        names = [name for name in STREAMED + REQUESTED if name not in self._seen]
+        names = [name for name in STREAMED + self._requested() if name not in self._seen]
         if self.found.is_px4:
             names += [name for name in PARAMETERS if name not in self.found.parameters]
         return names
+
+    def _requested(self) -> tuple[str, ...]:
+        """ArduPilot tells of its estimate by itself, in a message of its own."""
+        return REQUESTED if self._settings.kind == "px4" else REQUESTED[:-1]
 
     def is_complete(self, t_ns: int) -> bool:
         """Everything has come, and the rates have been watched for long enough."""
@@ -235,7 +239,7 @@ class VehicleSurvey:
         for name, wanted_hz in self._wanted_hz.items():
             if not 0.7 * wanted_hz <= self.found.rates_hz[name] <= 1.5 * wanted_hz:
                 self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, _message_id(name), 1e6 / wanted_hz)
-        for name in REQUESTED:
+        for name in self._requested():
             if name not in self._seen:
                 self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, _message_id(name))
         for name in PARAMETERS + OPTIONAL_PARAMETERS if self.found.is_px4 else ():
@@ -295,7 +299,11 @@ def _heartbeat(f: VehicleFindings, m: Any) -> None:
     )
     f.kind = _word(mavlink.enums["MAV_TYPE"], m.type, "MAV_TYPE_")
     f.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-    f.mode = px4_mode(m.custom_mode) if f.is_px4 else FlightMode.OTHER
+    f.mode = FlightMode.OTHER
+    if f.is_px4:
+        f.mode = px4_mode(m.custom_mode)
+    elif m.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        f.mode = ardupilot_mode(m.custom_mode)
 
 
 def _current_mode(f: VehicleFindings, m: Any) -> None:
@@ -363,6 +371,7 @@ _READERS: dict[str, Callable[[VehicleFindings, Any], None]] = {
     "SYS_STATUS": _sys_status,
     "BATTERY_STATUS": _battery,
     "ESTIMATOR_STATUS": _estimator,
+    "EKF_STATUS_REPORT": _estimator,
     "EXTENDED_SYS_STATE": _extended_sys_state,
     "LOCAL_POSITION_NED": _local_position,
     "PARAM_VALUE": _parameter,

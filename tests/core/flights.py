@@ -52,6 +52,7 @@ class Script:
         self.range_m: float | None = 10.0
         self.tells_attitude = True
         self.tells_mode = True
+        self.tells_landed = True
         self.tells_heartbeat = True
         self.height_m: float | None = 3.0
         self.battery: BatteryReport | None = BatteryReport(0, Charge.OK, 0.9)
@@ -71,6 +72,7 @@ class Script:
             yield VehicleHeartbeat(t_ns, 1, self.actual, self.armed)
         if t_ms % 50 == 0 and self.tells_mode:
             yield ModeReport(t_ns, self.actual, self.intended)
+        if t_ms % 50 == 0 and self.tells_landed:
             yield LandedReport(t_ns, self.landed)
         if t_ms % 500 == 0 and self.battery is not None:
             yield replace(self.battery, t_ns=t_ns)
