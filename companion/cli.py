@@ -224,6 +224,13 @@ def _parser() -> argparse.ArgumentParser:
         "--take-over-after", metavar="S", type=_positive, help="select AUTO.LOITER this long after OFFBOARD"
     )
     operator.add_argument(
+        "--rest",
+        metavar="S",
+        type=_positive,
+        default=2.5,
+        help="land after this long at rest (%(default)s); longer where a station is to be kept",
+    )
+    operator.add_argument(
         "--timeout", metavar="S", type=_positive, default=600.0, help="land after this long at the latest"
     )
 

@@ -272,6 +272,7 @@ def operator(args: argparse.Namespace) -> int:
             height_m=args.height,
             take_over_after_s=args.take_over_after,
             timeout_s=args.timeout,
+            rest_s=args.rest,
             say=lambda line: print(line, flush=True),
         )
     except ValueError as error:

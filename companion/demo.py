@@ -37,6 +37,8 @@ LIMIT_S = 57.0
 MOCK_START_S = 15.0
 FOLLOW_S = 8.0
 """When operator or companion has ended, the other one ends within this."""
+KEPT_S = 8.0
+"""At a station the operator lands after this long at rest."""
 STOP_S = 3.0
 """Between asking a process to end and ending it."""
 
@@ -209,6 +211,7 @@ def _fly(
         operator = start(
             "operator", "companion", "operator", "--mavlink", ground,
             "--height", str(config.vehicle.height_m), "--timeout", str(limit_s - 15.0),
+            *(("--rest", str(KEPT_S)) if config.mission.kind == "station" else ()),
         )  # fmt: skip
         companion = start(
             "companion", "companion", "fly", "--mavlink", onboard, "--zenoh-connect", zenoh, "--view", "json",

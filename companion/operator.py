@@ -28,7 +28,7 @@ STEADY_CLIMB_M_S = 0.2
 STEADY_S = 1.0
 REST_S = 2.5
 REST_RADIUS_M = 0.25
-"""At rest: for REST_S no further than this from where it is now, which is 0.1 m/s on average, ..."""
+"""At rest: for REST_S (or as long as told) no further than this from where it is now: 0.1 m/s, ..."""
 REST_TURN_RAD = 0.2
 """... and turned by no more than this: turning on the spot to find the bearing is no rest."""
 BEGUN_MOVE_M = 0.5
@@ -91,12 +91,14 @@ def operate(
     take_over_after_s: float | None,
     timeout_s: float,
     say: Callable[[str], None],
+    rest_s: float = REST_S,
 ) -> OperatorResult:
     """Fly one flight: wait for health, arm, climb to `height_m`, select OFFBOARD, watch, land.
 
-    The flight is over when the vehicle has come to rest, left OFFBOARD, `take_over_after_s` after OFFBOARD
-    began (then AUTO.LOITER is selected first), or `timeout_s` after the start, whichever comes first. Each
-    step is told through `say` in one line. Ctrl-C selects AUTO.LOITER and leaves the vehicle to the pilot.
+    The flight is over when the vehicle has rested for `rest_s`, left OFFBOARD, `take_over_after_s` after
+    OFFBOARD began (then AUTO.LOITER is selected first), or `timeout_s` after the start, whichever comes
+    first. Each step is told through `say` in one line. Ctrl-C selects AUTO.LOITER and leaves the vehicle to
+    the pilot.
 
     Raises `ValueError` for a URL that is none, `GroundLinkError` where MAVSDK is missing or cannot connect.
     """
@@ -106,7 +108,7 @@ def operate(
         say(f"{time.monotonic() - began:6.1f} s  {text}")
 
     with GroundLink(ground_url(url), tell) as vehicle:
-        script = _Script(vehicle, height_m, take_over_after_s, began + timeout_s, tell)
+        script = _Script(vehicle, height_m, take_over_after_s, began + timeout_s, tell, rest_s)
         try:
             return script.run(url)
         except KeyboardInterrupt:
@@ -132,7 +134,9 @@ class _Script:
         take_over_after_s: float | None,
         deadline: float,
         tell: Callable[[str], None],
+        rest_s: float,
     ) -> None:
+        self._rest_s = rest_s
         self._vehicle = vehicle
         self._height_m = height_m
         self._take_over_after_s = take_over_after_s
@@ -264,7 +268,7 @@ class _Script:
 
     def _watch(self) -> OperatorResult:
         """Until the flight is over; see `operate`."""
-        rest = RestWatch()
+        rest = RestWatch(self._rest_s)
         lost = False
         take_over_at = math.inf
         if self._take_over_after_s is not None:
@@ -376,13 +380,14 @@ class _Seen(NamedTuple):
 
 
 class RestWatch:
-    """Tells rest from slowness: the vehicle has set out, and since REST_S neither moves nor turns.
+    """Tells rest from slowness: the vehicle has set out, and since `rest_s` neither moves nor turns.
 
     Speed alone would not do: a vehicle that turns on the spot to find the bearing has none, and a noisy
     velocity estimate always has some.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rest_s: float = REST_S) -> None:
+        self._rest_s = rest_s
         self._start: _Seen | None = None
         self._window: deque[_Seen] = deque()
         self._turned_rad = 0.0
@@ -404,11 +409,11 @@ class RestWatch:
             or abs(self._turned_rad) > BEGUN_TURN_RAD
         )
         self._window.append(seen)
-        while len(self._window) > 2 and self._window[1].t_s <= t_s - REST_S:
+        while len(self._window) > 2 and self._window[1].t_s <= t_s - self._rest_s:
             self._window.popleft()
         return (
             self._begun
-            and t_s - self._window[0].t_s >= REST_S
+            and t_s - self._window[0].t_s >= self._rest_s
             and all(math.hypot(s.x_m - seen.x_m, s.y_m - seen.y_m) <= REST_RADIUS_M for s in self._window)
             and all(
                 abs(math.remainder(s.heading_rad - seen.heading_rad, math.tau)) <= REST_TURN_RAD

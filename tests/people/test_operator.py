@@ -199,9 +199,11 @@ def test_what_is_no_url_is_refused_with_what_is(url: str) -> None:
 # --------------------------------------------------------------------------------------------------- rest
 
 
-def rested(track: Callable[[float], tuple[float, float, float]], until_s: float = 30.0) -> float | None:
+def rested(
+    track: Callable[[float], tuple[float, float, float]], until_s: float = 30.0, rest_s: float = REST_S
+) -> float | None:
     """When RestWatch says so on a track of x, y, heading, looked at ten times a second."""
-    watch = RestWatch()
+    watch = RestWatch(rest_s)
     for i in range(round(until_s * 10)):
         x, y, heading = track(i * 0.1)
         if watch.add(i * 0.1, Motion(x, y, 3.0, math.remainder(heading, math.tau), 0.0, 0.0)):
@@ -217,6 +219,8 @@ def test_rest_is_neither_moving_nor_turning(phase: float) -> None:
     assert rested(lambda t: (math.cos(t), math.sin(t), phase + t)) is None  # circles
     stopped = rested(lambda t: (0.5 * min(t, 6.0), 0.0, phase))
     assert stopped is not None and REST_S <= stopped - 6.0 + 0.5 < REST_S + 0.6
+    longer = rested(lambda t: (0.5 * min(t, 6.0), 0.0, phase), rest_s=8.0)
+    assert longer is not None and 8.0 <= longer - 6.0 + 0.5 < 8.6
     turned = rested(lambda t: (0.0, 0.0, phase + min(t, 3.0)))
     assert turned is not None and REST_S <= turned - 3.0 + 0.2 < REST_S + 0.4
 
