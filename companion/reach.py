@@ -49,9 +49,8 @@ def judged(
     if doubt is not None:
         confirmed = _narrowed(doubt, t_ns, range_m, margin_m, rate_m_s)
         if confirmed is not None:
-            if (
-                t_ns - confirmed.since_ns >= _CONVINCED_NS
-            ):  # critical: without it a lie would shut out for long
+            # critical: without this a lie would shut the truth out for long
+            if t_ns - confirmed.since_ns >= _CONVINCED_NS:
                 return Reach(confirmed), True
             return Reach(reach.span, confirmed), False
         if t_ns - doubt.t_ns < _DOUBT_LASTS_NS:

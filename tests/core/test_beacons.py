@@ -35,6 +35,19 @@ def test_a_beacon_that_contradicts_the_configuration_is_named() -> None:
     assert warnings(flown) == ("b1 tells height 0 m, the configuration 1.5 m, which counts",)
 
 
+@pytest.mark.parametrize(("tells_motion", "jumps"), [(True, True), (False, False)])
+def test_a_distance_must_fit_the_vehicles_own_motion(tells_motion: bool, jumps: bool) -> None:
+    """It hovers, and the distance shrinks by 5 m/s: possible only where it does not tell how it moves."""
+    script = Script()
+    script.tells_attitude = tells_motion  # and with it the velocity
+    flown = fly(script.run(1.0))
+    for _ in range(10):
+        assert script.range_m is not None
+        script.range_m -= 0.5
+        flown = fly(script.run(0.1), before=flown)
+    assert (Verdict.JUMP in flown.state.ranging.rejected) is jumps
+
+
 def test_what_a_stranger_tells_is_of_no_interest() -> None:
     before = fly(Script().run(1.0))
     after = fly([BeaconTold(10**9, "b7", height_m=5.0)], before=before)
