@@ -319,6 +319,33 @@ def _parser() -> argparse.ArgumentParser:
     system.add_argument("--json", action="store_true", help="print one JSON object")
     system.add_argument("--plots", metavar="DIR", type=Path, help="draw the latencies' ECDFs")
 
+    network = _command(
+        actions,
+        "network",
+        commands.bench_network,
+        "one router, many beacons, many vehicles on this machine: share delivered, latency, cost of a range",
+        "companion bench network --vehicles 10 --beacons 200 --seconds 10\n"
+        "  companion bench network --tls --json",
+    )
+    network.add_argument("--vehicles", metavar="N", type=_at_least_one, default=10)
+    network.add_argument("--beacons", metavar="N", type=_at_least_one, default=200)
+    network.add_argument("--rate", metavar="HZ", type=_positive, default=20.0, help="of each beacon")
+    network.add_argument(
+        "--each", metavar="N", type=_at_least_one, default=20, help="beacons that a vehicle subscribes to"
+    )
+    network.add_argument("--seconds", metavar="S", type=_positive, default=10.0)
+    network.add_argument("--tls", action="store_true", help="mutual TLS and access control")
+    network.add_argument("--json", action="store_true", help="print one JSON object")
+
+    recovery = _command(
+        actions,
+        "recovery",
+        commands.bench_recovery,
+        "router killed, router frozen, network down: when ranges are believed again, and that no old one is",
+        "companion bench recovery\n  companion bench recovery --json",
+    )
+    recovery.add_argument("--json", action="store_true", help="print one JSON array")
+
     demo = _command(
         verbs,
         "demo",

@@ -388,6 +388,40 @@ def bench_system(args: argparse.Namespace) -> int:
     return Exit.TOO_SLOW if report.failed else Exit.OK
 
 
+def bench_network(args: argparse.Namespace) -> int:
+    """Load a network of processes."""
+    import msgspec
+
+    from companion.bench.network import BenchError, Load, table
+    from companion.bench.network import bench_network as measure
+
+    load = Load(args.vehicles, args.beacons, args.rate, args.each, args.seconds, args.tls)
+    try:
+        figures = measure(load, lambda line: print(line, file=sys.stderr, flush=True))
+    except BenchError as error:
+        print(f"companion: {error}", file=sys.stderr)
+        return Exit.LINK
+    print(msgspec.json.encode(figures).decode() if args.json else table(figures))
+    return Exit.OK
+
+
+def bench_recovery(args: argparse.Namespace) -> int:
+    """Let the network fail and come back."""
+    import msgspec
+
+    from companion.bench.network import BenchError
+    from companion.bench.recovery import FAULTS, table
+    from companion.bench.recovery import bench_recovery as measure
+
+    try:
+        found = measure(FAULTS, lambda line: print(line, file=sys.stderr, flush=True))
+    except BenchError as error:
+        print(f"companion: {error}", file=sys.stderr)
+        return Exit.LINK
+    print(msgspec.json.encode(found).decode() if args.json else table(found))
+    return Exit.OK
+
+
 def demo(args: argparse.Namespace) -> int:
     """A whole flight on this machine."""
     from companion.config import ConfigError

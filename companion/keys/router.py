@@ -11,6 +11,7 @@ import json
 from typing import Any, NamedTuple
 
 from companion.keys.certificates import Role, common_name
+from companion.link.zenoh_session import LEASE_MS
 from companion.wire_range import KEY_VERSION
 from companion.wire_status import KEY_VERSION as VEHICLE_KEYS
 from companion.wire_status import alive_key, status_key
@@ -36,7 +37,7 @@ class Site(NamedTuple):
 
 def router_config(site: Site, port: int) -> str:
     """A whole configuration for zenohd, to be started in the directory of its certificate."""
-    return _HEAD % {"site": site.name, "port": port} + access_control(site) + _TAIL
+    return _HEAD % {"site": site.name, "port": port, "lease": LEASE_MS} + access_control(site) + _TAIL
 
 
 def with_access_control(text: str, site: Site) -> str:
@@ -131,6 +132,8 @@ _HEAD = """\
   transport: {
     link: {
       protocols: ["tls"],
+      // a connection on which nothing has come for so long is given up, milliseconds
+      tx: { lease: %(lease)d },
       tls: {
         root_ca_certificate: "ca.pem",
         enable_mtls: true,

@@ -110,7 +110,8 @@ class RangeLink:
         self._wake = wake
         self._doors: list[Door] = []
         self._told: deque[Raw] = deque(maxlen=_ANSWERS)
-        for beacon in beacons:
+        self._beacons = tuple(beacons)
+        for beacon in self._beacons:
             key = wire_range.range_key(settings.site, beacon, settings.tag)
             self._doors.append(Door(key, settings.max_rate_hz, "*" in beacon, range_event))
         for topic in settings.ros2:
@@ -128,12 +129,12 @@ class RangeLink:
         for door in self._doors:
             note = partial(self._note, door)
             session.declare_subscriber(door.key, zenoh.handlers.Callback(note, indirect=False))
-        if self._settings.ask_beacons:
-            alive = wire_range.alive_key(self._settings.site, "*")
+        for beacon in self._beacons if self._settings.ask_beacons else ():
+            alive = wire_range.alive_key(self._settings.site, beacon)
             # Indirect, in a thread of its own, since a question is a call into Zenoh.
             ask = zenoh.handlers.Callback(partial(self._ask, session), indirect=True)
             session.liveliness().declare_subscriber(alive, ask, history=True)
-            self._query(session, wire_range.info_key(self._settings.site, "*"))
+            self._query(session, wire_range.info_key(self._settings.site, beacon))
 
     def _note(self, door: Door, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: no parsing, no logging, no waiting."""

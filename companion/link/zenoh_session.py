@@ -13,6 +13,7 @@ from companion.link import credentials
 from companion.settings import RangesSettings
 
 _RETRY_S = 0.1
+LEASE_MS = 2000
 _TLS_HINT = (
     "(nobody is there, or one does not accept the other: the router's certificate must be of the same site "
     "and name this address; Zenoh does not say which)"
@@ -59,9 +60,10 @@ def zenoh_config(settings: RangesSettings, caps_hz: Mapping[str, float] | None =
         ]
     if problems := credentials.contradictions(settings):
         raise credentials.CredentialsError("; ".join(problems))
+    link: dict[str, object] = {"tx": {"lease": LEASE_MS}}
     if settings.tls:
-        tls = credentials.tls_config(credentials.read(Path(settings.tls)))
-        config["transport"] = {"link": {"tls": tls}}
+        link["tls"] = credentials.tls_config(credentials.read(Path(settings.tls)))
+    config["transport"] = {"link": link}
     return zenoh.Config.from_json5(json.dumps(config))
 
 

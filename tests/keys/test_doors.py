@@ -23,7 +23,7 @@ from companion.link.zenoh_publish import PublishLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.link.zenoh_session import zenoh_config
 from companion.settings import RangesSettings
-from companion.types import RangeSample
+from companion.types import BeaconTold, Event, RangeSample
 from companion.wire_range import RangeMessage
 from tests.keys.site import BOUND_S, NOW, free_port, make, router
 
@@ -94,14 +94,16 @@ def test_a_beacons_ranges_reach_the_vehicle_through_the_router(door: Door) -> No
     publisher = PublishLink(door.settings("beacon-b1"))
     vehicle = RangeLink(door.settings("vehicle-u1"), rung.set, ["b1"])
     try:
-        publisher.announce("b1", b"{}")
+        publisher.announce("b1", b'{"height_m": 1.5}')
+        events: list[Event] = []
         for seq in range(1000):
             publisher.put("b1", "t1", RangeMessage("s", seq, 4.25))
-            if rung.wait(0.02):
+            rung.wait(0.02)
+            events += vehicle.receive()
+            if {type(event) for event in events} == {RangeSample, BeaconTold}:
                 break
-        event = next(vehicle.receive())
-        assert isinstance(event, RangeSample)
-        assert (event.beacon, event.range_m) == ("b1", 4.25)
+        assert {e.range_m for e in events if isinstance(e, RangeSample)} == {4.25}
+        assert {e.height_m for e in events if isinstance(e, BeaconTold)} == {1.5}
     finally:
         publisher.close()
         vehicle.close()
