@@ -14,6 +14,7 @@ from typing import get_args
 
 import msgspec
 
+from sitl_mock.control import Control
 from sitl_mock.faults import Fault, FaultAt, parse_fault
 from sitl_mock.params import Params
 from sitl_mock.scenario import KEY_PART, BeaconAt, Scenario, TelemetryKind
@@ -27,6 +28,7 @@ examples:
   sitl-mock                                            a vehicle at the usual ports, one beacon
   sitl-mock --seed 7 --scenario config/capture.toml    its [sim] table says where things are
   sitl-mock --fault range-loss@20:3 --fault rc-switch@40
+  sitl-mock --control                                  then type: gps-lost on
   sitl-mock --gcs none --mavlink udpin:127.0.0.1:14580 --zenoh-listen tcp/127.0.0.1:0
 
 faults: {", ".join(fault.value for fault in Fault)}
@@ -117,9 +119,33 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         help="let something fail, seconds",
     )
+    add(
+        "--sign-key",
+        metavar="FILE",
+        type=Path,
+        help="sign the onboard link, and hear signed messages only: a file of 32 bytes, raw or hexadecimal",
+    )
+    add(
+        "--control",
+        action="store_true",
+        help="switch faults by lines on standard input: NAME on, or NAME off",
+    )
     add("--truth-log", metavar="FILE", type=Path, help="write the true motion, one JSON object every 20 ms")
     add("--version", action="version", version=f"sitl-mock {version('companion')}")
     return parser
+
+
+def _key(path: Path | None) -> bytes | None:
+    if path is None:
+        return None
+    from sitl_mock.udp import read_key
+
+    try:
+        return read_key(path.read_bytes())
+    except OSError as error:
+        raise ValueError(f"--sign-key {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"--sign-key {path}: {error}") from None
 
 
 def _params(texts: list[str]) -> Params:
@@ -156,6 +182,7 @@ def main(argv: list[str] | None = None) -> int:
             args.site,
             args.tag,
             args.autopilot,
+            _key(args.sign_key),
         )
         wire = Wire(scenario, args.seed, endpoints, faults, params, args.truth_log)
     except (ValueError, OSError) as error:
@@ -175,7 +202,8 @@ def main(argv: list[str] | None = None) -> int:
     for line in wire.listening():
         print(line, flush=True)
     try:
-        wire.run(lambda: stopping, wake.fileno())
+        control = Control(sys.stdin.fileno(), lambda line: print(line, flush=True)) if args.control else None
+        wire.run(lambda: stopping, wake.fileno(), control)
     finally:
         wire.close()
     return 0

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import select
-import socket
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +23,7 @@ from companion.types import LineOfSight
 from companion.wire_range import RangeMessage, encode, range_key
 from sitl_mock.ardupilot import ArduPilot
 from sitl_mock.clock import Clock
+from sitl_mock.control import Control
 from sitl_mock.faults import Fault, FaultAt, Faults
 from sitl_mock.modes import WIRE
 from sitl_mock.params import Params
@@ -32,14 +31,13 @@ from sitl_mock.protocol import Link, Protocol
 from sitl_mock.px4 import Px4
 from sitl_mock.scenario import Scenario
 from sitl_mock.streams import Message
+from sitl_mock.udp import Udp
 from sitl_mock.uwb import Beacon
 from sitl_mock.vehicle import STEP_S, Vehicle
 from sitl_mock.visitors import Visitor, Visitors
 from sitl_mock.world import start_pose
 
 _CATCH_UP_STEPS = 50
-_DATAGRAM_BYTES = 65_535
-_RECEIVE_BUFFER_BYTES = 1 << 20
 _LOSS = 0.3
 _LINK_FAULT = {Link.ONBOARD: Fault.LINK_LOSS, Link.GCS: Fault.GCS_LOSS}
 
@@ -56,103 +54,14 @@ class Endpoints:
     tag: str = "drone"
     autopilot: str = "px4"
     """`px4` or `ardupilot`."""
-
-
-def _parse(datagram: bytes) -> list[Message]:
-    """The messages in a datagram. Each begins afresh: garbage in one does not swallow the next."""
-    parser = mavlink.MAVLink(None)
-    parser.robust_parsing = True
-    try:
-        messages = parser.parse_buffer(datagram) or []
-    except (mavlink.MAVError, struct.error, ValueError):
-        return []
-    return [m for m in messages if m.get_type() != "BAD_DATA" and not m.get_type().startswith("UNKNOWN")]
+    key: bytes | None = None
+    """Of the onboard link, where it is signed."""
 
 
 def _packed(visitor: Visitor) -> bytes:
     """The message of another one, with its ids; its sequence numbers are of no use to anybody."""
     data: bytes = visitor.message.pack(mavlink.MAVLink(None, visitor.system, visitor.component))
     return data
-
-
-class Udp:
-    """One MAVLink channel over UDP with exactly one peer.
-
-    `udpout` sends to a peer from the start, as PX4 does; `udpin` waits for the first one that speaks.
-    Raises ValueError for what is no such URL, OSError where the port cannot be had.
-    """
-
-    def __init__(self, url: str, system_id: int) -> None:
-        kind, _, where = url.partition(":")
-        host, _, port = where.removeprefix("//").rpartition(":")
-        if kind not in ("udpin", "udpout") or not host or not port.isdecimal() or int(port) > 65_535:
-            raise ValueError(f"MAVLink URL {url!r}: must be udpout:HOST:PORT or udpin:HOST:PORT")
-        if kind == "udpout" and not int(port):
-            raise ValueError(f"MAVLink URL {url!r}: the peer's port must be above 0")
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-        self._socket.setblocking(False)
-        address = (socket.gethostbyname(host), int(port))
-        self._peer: tuple[str, int] | None = None
-        if kind == "udpin":
-            self._socket.bind(address)
-            address = self._socket.getsockname()
-        else:
-            self._peer = address
-        self.url = f"{kind}:{address[0]}:{address[1]}"
-        """Where it really is: the port is the system's choice if 0 was asked for."""
-        self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
-
-    @property
-    def system_id(self) -> int:
-        """The autopilot's id in what is sent."""
-        number: int = self._mav.srcSystem
-        return number
-
-    @system_id.setter
-    def system_id(self, number: int) -> None:
-        self._mav.srcSystem = number
-
-    def fileno(self) -> int:
-        """The descriptor to wait on."""
-        return self._socket.fileno()
-
-    def send(self, message: Message, lost: bool = False) -> None:
-        """Send one message; nothing before a peer is known. A lost one leaves its gap in the sequence."""
-        if self._peer is None:
-            return
-        data = message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256  # pack() leaves it alone
-        if not lost:
-            self.forward(data)
-
-    def forward(self, data: bytes) -> None:
-        """Send a packet as it is, with its sender's ids."""
-        if self._peer is None:
-            return
-        try:
-            self._socket.sendto(data, self._peer)
-        except OSError:  # nobody there, buffer full, no route: UDP loses packets
-            return
-
-    def receive(self) -> list[Message]:
-        """Every message that has come from the peer. Garbage and strangers are ignored."""
-        messages: list[Message] = []
-        while True:
-            try:
-                data, sender = self._socket.recvfrom(_DATAGRAM_BYTES)
-            except (BlockingIOError, ConnectionRefusedError):
-                return messages
-            if self._peer is not None and sender != self._peer:
-                continue
-            good = _parse(data)
-            if good and self._peer is None:
-                self._peer = sender
-            messages += good
-
-    def close(self) -> None:
-        """Give the port back."""
-        self._socket.close()
 
 
 class RangePublisher:
@@ -225,7 +134,9 @@ class Wire:
         self._visitors = Visitors(self.faults)
         urls = {Link.ONBOARD: endpoints.onboard, Link.GCS: endpoints.gcs}
         self.links = {
-            link: Udp(url, self._protocol.system_id) for link, url in urls.items() if url is not None
+            link: Udp(url, self._protocol.system_id, endpoints.key if link is Link.ONBOARD else None)
+            for link, url in urls.items()
+            if url is not None
         }
         # Unlike the noise, sessions are new at every start: a beacon that restarts begins to count anew.
         self._beacons = [
@@ -245,11 +156,18 @@ class Wire:
         lines = [f"listening: mavlink {link.value} {udp.url}" for link, udp in self.links.items()]
         return lines + [f"listening: zenoh {locator}" for locator in self._ranges.locators()]
 
-    def run(self, stopped: Callable[[], bool], wake: int | None = None) -> None:
-        """Run in real time until `stopped` says so; a byte on the descriptor `wake` makes it ask at once."""
-        sockets: list[Udp | int] = [*self.links.values()]
+    def run(
+        self, stopped: Callable[[], bool], wake: int | None = None, control: Control | None = None
+    ) -> None:
+        """Run in real time until `stopped` says so; a byte on the descriptor `wake` makes it ask at once.
+
+        `control` switches faults meanwhile.
+        """
+        sockets: list[Udp | int | Control] = [*self.links.values()]
         if wake is not None:
             sockets.append(wake)
+        if control is not None:
+            sockets.append(control)
         start = time.monotonic()
         while not stopped():
             behind = int((time.monotonic() - start) / STEP_S) - self._steps
@@ -260,7 +178,10 @@ class Wire:
                 self._receive()
                 self._step()
             wait_s = start + (self._steps + 1) * STEP_S - time.monotonic()
-            if wait_s > 0.0 and select.select(sockets, [], [], wait_s)[0]:
+            ready = select.select(sockets, [], [], max(wait_s, 0.0))[0]
+            if control is not None and control in ready and not control.read(self.faults):
+                sockets.remove(control)
+            if ready:
                 self._receive()
 
     def close(self) -> None:
@@ -288,6 +209,7 @@ class Wire:
         self._steps += 1
         for udp in self.links.values():
             udp.system_id = self._protocol.system_id
+            udp.sign(not self.faults.active(Fault.UNSIGNED))
         for link, message in self._protocol.step():
             if link in self.links:
                 self.links[link].send(message, self._lost(link))
