@@ -56,7 +56,8 @@ class Udp:
 
     `udpout` sends to a peer from the start, as PX4 does; `udpin` waits for the first one that speaks.
     With a key it signs what it sends and hears signed messages only, but for HEARTBEAT and RADIO_STATUS,
-    which PX4 accepts unsigned. Raises ValueError for what is no such URL, OSError where the port cannot be had.
+    which PX4 accepts unsigned. Raises ValueError for what is no such URL, OSError where the port cannot be
+    had.
     """
 
     def __init__(self, url: str, system_id: int, key: bytes | None = None) -> None:
