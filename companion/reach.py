@@ -2,6 +2,8 @@
 
 A distance changes no faster than the vehicle moves. The span widens at that rate, and every believed range
 narrows it to its own margin; a range outside has jumped, whether at once or by creeping faster than that.
+Beside the believed span there is a doubt, the span of ranges that do not fit into it: it takes the other's
+place when more ranges speak for it, so that one lie that was believed does not shut out the truth.
 """
 
 from __future__ import annotations
@@ -16,21 +18,24 @@ class Span(msgspec.Struct, frozen=True, gc=False):
     high_m: float
     t_ns: int
     rate_m_s: float
-    since_ns: int
-    """When it began."""
 
 
 class Reach(msgspec.Struct, frozen=True, gc=False):
-    """The span of the believed ranges; `doubt` is that of ranges outside it, as far as they agree."""
+    """The believed span, and the doubt."""
 
     span: Span
     doubt: Span | None = None
+    since_ns: int = 0
+    """When the doubt began; 0 where it is what was believed before."""
+    hits: int = 0
+    doubt_hits: int = 0
+    """Ranges that fitted into the believed span, and into the doubt alone, since the doubt began."""
 
 
 _NOISE_SIGMAS = 5.0
 """A range is not further from the truth than this."""
 _CONVINCED_NS = 1_000_000_000
-"""Ranges that contradict the former ones, but not each other, are believed after this time."""
+"""A doubt that did not grow out of what was believed must last for so long."""
 _DOUBT_LASTS_NS = 300_000_000
 """A doubt that has not been confirmed for so long gives way to the next one."""
 
@@ -40,27 +45,39 @@ def judged(
 ) -> tuple[Reach, bool]:
     """The reach with one more range, and whether that range is within it. `rate_m_s`: the vehicle's, now."""
     margin_m = _NOISE_SIGMAS * sigma_m
+    low_m, high_m = range_m - margin_m, range_m + margin_m
+    fresh = Span(low_m, high_m, t_ns, rate_m_s)
     if reach is None:
-        return Reach(Span(range_m - margin_m, range_m + margin_m, t_ns, rate_m_s, t_ns)), True
-    span = _narrowed(reach.span, t_ns, range_m, margin_m, rate_m_s)
-    if span is not None:
-        return Reach(span), True
-    doubt = reach.doubt
+        return Reach(fresh), True
+    span, doubt = reach.span, reach.doubt
+    wider = _widened(span, t_ns, rate_m_s)
+    if low_m <= wider.high_m and wider.low_m <= high_m:
+        fits = _narrowed(wider, low_m, high_m)
+        if low_m > span.high_m or span.low_m > high_m:
+            # Only a flight explains it: if the next range says that there was none, it was a lie.
+            return Reach(fits, wider), True
+        if doubt is None or t_ns - doubt.t_ns > _DOUBT_LASTS_NS:
+            return Reach(fits), True
+        return Reach(fits, doubt, reach.since_ns, reach.hits + 1, reach.doubt_hits), True
     if doubt is not None:
-        confirmed = _narrowed(doubt, t_ns, range_m, margin_m, rate_m_s)
-        if confirmed is not None:
+        other = _widened(doubt, t_ns, rate_m_s)
+        if low_m <= other.high_m and other.low_m <= high_m:
+            other, hits = _narrowed(other, low_m, high_m), reach.doubt_hits + 1
             # critical: without this a lie would shut the truth out for long
-            if t_ns - confirmed.since_ns >= _CONVINCED_NS:
-                return Reach(confirmed), True
-            return Reach(reach.span, confirmed), False
-        if t_ns - doubt.t_ns < _DOUBT_LASTS_NS:
+            if hits > reach.hits and t_ns - reach.since_ns >= _CONVINCED_NS:
+                return Reach(other), True
+            return Reach(span, other, reach.since_ns, reach.hits, hits), False
+        if t_ns - doubt.t_ns <= _DOUBT_LASTS_NS:
             return reach, False
-    return Reach(reach.span, Span(range_m - margin_m, range_m + margin_m, t_ns, rate_m_s, t_ns)), False
+    return Reach(span, fresh, t_ns, 0, 1), False
 
 
-def _narrowed(span: Span, t_ns: int, range_m: float, margin_m: float, rate_m_s: float) -> Span | None:
-    """What is left of the span by now, within the range's margin; None where that is nothing."""
-    wider_m = max(span.rate_m_s, rate_m_s) * (t_ns - span.t_ns) * 1e-9
-    low_m = max(span.low_m - wider_m, range_m - margin_m)
-    high_m = min(span.high_m + wider_m, range_m + margin_m)
-    return Span(low_m, high_m, t_ns, rate_m_s, span.since_ns) if low_m <= high_m else None
+def _widened(span: Span, t_ns: int, rate_m_s: float) -> Span:
+    """The span by now."""
+    by_m = max(span.rate_m_s, rate_m_s) * (t_ns - span.t_ns) * 1e-9
+    return Span(span.low_m - by_m, span.high_m + by_m, t_ns, rate_m_s)
+
+
+def _narrowed(span: Span, low_m: float, high_m: float) -> Span:
+    """What is left of it within a range's margin."""
+    return Span(max(span.low_m, low_m), min(span.high_m, high_m), span.t_ns, span.rate_m_s)

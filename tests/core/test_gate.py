@@ -242,6 +242,24 @@ def test_a_jump_that_stays_is_believed_in_the_end() -> None:
     assert told[-15:] == [Verdict.ACCEPTED] * 15
 
 
+def test_after_a_gap_one_lie_is_found_out_by_the_next_range() -> None:
+    """In two seconds the vehicle may have flown 3 m: a range that says so is believed until the next one."""
+    told = verdicts(*stream(*[5.0] * 20), *stream(7.5, *[5.0] * 10, after_ms=3000, seq=60))
+    assert set(told) == {Verdict.ACCEPTED}
+    flown = verdicts(*stream(*[5.0] * 20), *stream(*[7.5] * 10, after_ms=3000, seq=60))
+    assert set(flown) == {Verdict.ACCEPTED}
+
+
+def test_a_reflection_beside_the_direct_path_does_not_take_over() -> None:
+    """Two of five ranges come by way of a wall, 2 m longer, for ten seconds."""
+    track, told = None, []
+    for k in range(200):
+        is_reflected = k % 5 in (1, 3)
+        track, verdict = judge(track, sample(k, range_m=7.0 if is_reflected else 5.0, t_ms=50 * k))
+        told.append((is_reflected, verdict))
+    assert set(told[2:]) == {(True, Verdict.JUMP), (False, Verdict.ACCEPTED)}
+
+
 @pytest.mark.parametrize("every_ms", [20, 50, 200, 1000])
 def test_a_first_range_that_lies_does_not_shut_the_others_out(every_ms: int) -> None:
     others = [5.0, 5.05, 4.95, 25.0, 5.0] * 40
