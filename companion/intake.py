@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from companion import beacons, gate, health
+from companion import beacons, echo, gate, health
 from companion import vehicle as veh
 from companion.guidance.scheme import UNKNOWN_M
 from companion.health import Health
@@ -28,6 +28,7 @@ from companion.types import (
     PartyHeard,
     RangeSample,
     StopRequest,
+    TargetEcho,
     Tick,
     VehicleHeartbeat,
     Verdict,
@@ -178,7 +179,15 @@ def _on_heartbeat(p: Plan, s: State, e: VehicleHeartbeat) -> State:
 
 
 def _on_mode(p: Plan, s: State, e: ModeReport) -> State:
-    return replace(s, vehicle=veh.on_mode(s.vehicle, e))
+    s = replace(s, vehicle=veh.on_mode(s.vehicle, e))
+    if s.steering.echo.pending:
+        s = replace(s, steering=replace(s.steering, echo=echo.confirmed(s.steering.echo, e)))
+    return s
+
+
+def _on_target(p: Plan, s: State, e: TargetEcho) -> State:
+    told = echo.heard(s.steering.echo, e) if s.phase.is_engaged else s.steering.echo
+    return s if told is s.steering.echo else replace(s, steering=replace(s.steering, echo=told))
 
 
 def _on_landed(p: Plan, s: State, e: LandedReport) -> State:
@@ -228,6 +237,7 @@ _TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
     EstimatorReport: _on_estimator,
     PartyHeard: _on_party,
     AutopilotWords: _on_words,
+    TargetEcho: _on_target,
     Malformed: _on_malformed,
     StopRequest: _on_stop,
     Tick: _on_tick,

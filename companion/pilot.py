@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from companion import limits, phase, reasons
+from companion import echo, limits, phase, reasons
 from companion.beacons import configured
 from companion.guidance import schemes, station, station_paper
 from companion.guidance.station_settings import BEACONS_NEEDED
@@ -38,6 +38,7 @@ from companion.types import (
     RangeVerdict,
     Setpoint,
     SystemStatus,
+    TargetEcho,
 )
 from companion.vehicle import Vehicle
 
@@ -118,7 +119,7 @@ def _streaming(p: Plan) -> frozenset[Phase]:
 
 _ENGAGED = phase.STREAMING - {Phase.STANDBY}
 _MERE_TELEMETRY = frozenset(
-    {Attitude, LocalMotion, Malformed, BatteryReport, EstimatorReport, PartyHeard, AutopilotWords}
+    {Attitude, LocalMotion, Malformed, BatteryReport, EstimatorReport, PartyHeard, AutopilotWords, TargetEcho}
 )
 
 
@@ -289,7 +290,14 @@ def _setpoint(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
     state, setpoint = limits.apply(p.settings.limits, g.limits, wanted, v.height_m)
     t_allowed_ns = max(g.t_allowed_ns, t_ns) + int(1e9 / p.settings.stream.max_rate_hz)
     return replace(
-        s, steering=replace(g, limits=state, setpoint=setpoint, t_allowed_ns=t_allowed_ns)
+        s,
+        steering=replace(
+            g,
+            limits=state,
+            setpoint=setpoint,
+            t_allowed_ns=t_allowed_ns,
+            echo=echo.sent(g.echo, setpoint),
+        ),
     ), setpoint
 
 

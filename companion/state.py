@@ -9,6 +9,7 @@ import msgspec
 
 from companion import gate
 from companion.beacons import Beacon
+from companion.echo import Echo
 from companion.guidance.scheme import PROBE, Command, Scheme
 from companion.health import Health
 from companion.limits import LimitState
@@ -76,6 +77,8 @@ class Steering(msgspec.Struct, frozen=True, gc=False):
     limits: LimitState = LimitState()
     setpoint: Setpoint | None = None
     t_allowed_ns: int = 0
+    echo: Echo = Echo()
+    """What was sent lately, held against what the autopilot says that it flies."""
 
 
 class Flight(msgspec.Struct, frozen=True, gc=False):

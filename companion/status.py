@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from companion import phase
+from companion.echo import is_foreign
 from companion.guidance.scheme import UNKNOWN_M
 from companion.health import WITHOUT, battery_low, battery_words, fresh_estimator, shortfalls
 from companion.phase import Company
@@ -93,6 +94,11 @@ def _vehicle_warnings(p: Plan, s: State, t_ns: int) -> Iterator[str]:
     v, h = s.vehicle, s.health
     if h.words is not None and age_s(h.words.t_ns, t_ns) <= _WORDS_S:
         yield f"the autopilot says: {h.words.text}"
+    if is_foreign(s.steering.echo, t_ns):
+        yield (
+            "the autopilot flies targets that this app did not send: somebody commands it on another link, or "
+            "it limits ours (MPC_XY_VEL_MAX)"
+        )
     e = fresh_estimator(h, t_ns)
     if e is not None:
         lacks = shortfalls(p.settings.vehicle, p.settings.loss.hand_over_to, e)

@@ -222,6 +222,13 @@ class PartyHeard(Event, frozen=True, gc=False, tag="party"):
     message: str
 
 
+class TargetEcho(Event, frozen=True, gc=False, tag="target"):
+    """POSITION_TARGET_LOCAL_NED: the horizontal speed and the yaw rate that the autopilot flies to."""
+
+    speed_m_s: float
+    yaw_rate_rad_s: float
+
+
 class AutopilotWords(Event, frozen=True, gc=False, tag="words"):
     """What the autopilot says to people: STATUSTEXT, or an EVENT of PX4's that is known, in words."""
 
@@ -248,6 +255,7 @@ AnyEvent = (
     | BatteryReport
     | EstimatorReport
     | PartyHeard
+    | TargetEcho
     | AutopilotWords
     | StopRequest
     | Tick

@@ -43,6 +43,8 @@ class Fault(Enum):
     """A second companion with the app's own ids is heard on the onboard link."""
     SECOND_COMMANDER = "second-commander"
     """Somebody else's setpoints pass on the onboard link."""
+    HIDDEN_COMMANDER = "hidden-commander"
+    """Somebody else's setpoints reach the autopilot over another link and mix with the app's."""
     SECOND_VEHICLE = "second-vehicle"
     """Another autopilot, system 42, is heard on the onboard link."""
     UNSIGNED = "unsigned"

@@ -31,6 +31,8 @@ CRITICAL, INFO = 2, 6
 """MAV_SEVERITY."""
 _CHARGE_SHARE = {Charge.OK: 1.0, Charge.LOW: 0.14, Charge.CRITICAL: 0.05}
 _OTHER_SYSTEM = 42
+_HIDDEN_TARGET = Target(vx_m_s=-0.4, vy_m_s=0.0, climb_m_s=0.0, yaw_rate_rad_s=-0.5)
+_HIDDEN_STEPS = round(0.05 / STEP_S)
 _DRAIN_1_S = 0.0164
 """Recorded: SIH drains its battery so fast in flight."""
 
@@ -272,6 +274,12 @@ class Px4:
         if self.faults.changes != self._fault_changes:
             self._fault_changes = self.faults.changes
             self._take_single_faults()
+        if (
+            self.faults.any
+            and self.faults.active(Fault.HIDDEN_COMMANDER)
+            and self._steps % _HIDDEN_STEPS == 0
+        ):
+            self.setpoint(_HIDDEN_TARGET)
         self.errors.step()
         self._choose_mode()
         if self.armed:

@@ -29,6 +29,7 @@ from companion.types import (
     LocalMotion,
     Malformed,
     ModeReport,
+    TargetEcho,
     VehicleHeartbeat,
 )
 
@@ -160,5 +161,12 @@ def decoders(dialect: Dialect) -> dict[str, Decoder]:
     }
 
 
-WORDS: dict[str, Decoder] = {"STATUSTEXT": statustext, "EVENT": event}
+def target(m: Any, t_ns: int) -> Event | None:
+    """POSITION_TARGET_LOCAL_NED; without a velocity there is nothing to tell."""
+    if not (math.isfinite(m.vx) and math.isfinite(m.vy) and math.isfinite(m.yaw_rate)):
+        return None
+    return TargetEcho(t_ns=t_ns, speed_m_s=math.hypot(m.vx, m.vy), yaw_rate_rad_s=-m.yaw_rate)
+
+
+WORDS: dict[str, Decoder] = {"STATUSTEXT": statustext, "EVENT": event, "POSITION_TARGET_LOCAL_NED": target}
 """What may have nothing to say."""
