@@ -96,8 +96,8 @@ def _vehicle_warnings(p: Plan, s: State, t_ns: int) -> Iterator[str]:
         yield f"the autopilot says: {h.words.text}"
     if is_foreign(s.steering.echo, t_ns):
         yield (
-            "the autopilot flies targets that this app did not send: somebody commands it on another link, or "
-            "it limits ours (MPC_XY_VEL_MAX)"
+            "the autopilot flies targets that this app did not send: somebody commands it on another link, "
+            "or it limits ours (MPC_XY_VEL_MAX)"
         )
     e = fresh_estimator(h, t_ns)
     if e is not None:

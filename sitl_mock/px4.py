@@ -32,7 +32,7 @@ CRITICAL, INFO = 2, 6
 _CHARGE_SHARE = {Charge.OK: 1.0, Charge.LOW: 0.14, Charge.CRITICAL: 0.05}
 _OTHER_SYSTEM = 42
 _HIDDEN_TARGET = Target(vx_m_s=-0.4, vy_m_s=0.0, climb_m_s=0.0, yaw_rate_rad_s=-0.5)
-_HIDDEN_STEPS = round(0.05 / STEP_S)
+_HIDDEN_STEPS = round(0.07 / STEP_S)
 _DRAIN_1_S = 0.0164
 """Recorded: SIH drains its battery so fast in flight."""
 
