@@ -1,8 +1,8 @@
 """Is what the autopilot flies what this app sent? Somebody else's targets, in the autopilot's own report.
 
 PX4 tells the target that it flies (POSITION_TARGET_LOCAL_NED). Held against recordings of a real one, speed
-and yaw rate of each lie within 0.1 of a setpoint of the second before. One that does not, while OFFBOARD is in
-effect, came over another link of the autopilot, or the autopilot limits what it is sent.
+and yaw rate of each lie within 0.1 of a setpoint of the second before. One that does not, while OFFBOARD is
+in effect, came over another link of the autopilot, or the autopilot limits what it is sent.
 """
 
 from __future__ import annotations
