@@ -46,38 +46,30 @@ def judged(
     """The reach with one more range, and whether that range is within it. `rate_m_s`: the vehicle's, now."""
     margin_m = _NOISE_SIGMAS * sigma_m
     low_m, high_m = range_m - margin_m, range_m + margin_m
-    fresh = Span(low_m, high_m, t_ns, rate_m_s)
     if reach is None:
-        return Reach(fresh), True
+        return Reach(Span(low_m, high_m, t_ns, rate_m_s)), True
     span, doubt = reach.span, reach.doubt
-    wider = _widened(span, t_ns, rate_m_s)
-    if low_m <= wider.high_m and wider.low_m <= high_m:
-        fits = _narrowed(wider, low_m, high_m)
+    wider_m = max(span.rate_m_s, rate_m_s) * (t_ns - span.t_ns) * 1e-9
+    least_m, most_m = span.low_m - wider_m, span.high_m + wider_m
+    if low_m <= most_m and least_m <= high_m:
+        fits = Span(
+            low_m if low_m > least_m else least_m, high_m if high_m < most_m else most_m, t_ns, rate_m_s
+        )
         if low_m > span.high_m or span.low_m > high_m:
             # Only a flight explains it: if the next range says that there was none, it was a lie.
-            return Reach(fits, wider), True
+            return Reach(fits, Span(least_m, most_m, t_ns, rate_m_s)), True
         if doubt is None or t_ns - doubt.t_ns > _DOUBT_LASTS_NS:
             return Reach(fits), True
         return Reach(fits, doubt, reach.since_ns, reach.hits + 1, reach.doubt_hits), True
     if doubt is not None:
-        other = _widened(doubt, t_ns, rate_m_s)
-        if low_m <= other.high_m and other.low_m <= high_m:
-            other, hits = _narrowed(other, low_m, high_m), reach.doubt_hits + 1
+        wider_m = max(doubt.rate_m_s, rate_m_s) * (t_ns - doubt.t_ns) * 1e-9
+        least_m, most_m = doubt.low_m - wider_m, doubt.high_m + wider_m
+        if low_m <= most_m and least_m <= high_m:
+            other, hits = Span(max(low_m, least_m), min(high_m, most_m), t_ns, rate_m_s), reach.doubt_hits + 1
             # critical: without this a lie would shut the truth out for long
             if hits > reach.hits and t_ns - reach.since_ns >= _CONVINCED_NS:
                 return Reach(other), True
             return Reach(span, other, reach.since_ns, reach.hits, hits), False
         if t_ns - doubt.t_ns <= _DOUBT_LASTS_NS:
             return reach, False
-    return Reach(span, fresh, t_ns, 0, 1), False
-
-
-def _widened(span: Span, t_ns: int, rate_m_s: float) -> Span:
-    """The span by now."""
-    by_m = max(span.rate_m_s, rate_m_s) * (t_ns - span.t_ns) * 1e-9
-    return Span(span.low_m - by_m, span.high_m + by_m, t_ns, rate_m_s)
-
-
-def _narrowed(span: Span, low_m: float, high_m: float) -> Span:
-    """What is left of it within a range's margin."""
-    return Span(max(span.low_m, low_m), min(span.high_m, high_m), span.t_ns, span.rate_m_s)
+    return Reach(span, Span(low_m, high_m, t_ns, rate_m_s), t_ns, 0, 1), False

@@ -392,7 +392,7 @@ def bearing_ruler(status: Status) -> Text:
 
 
 def _row(name: str, *parts: tuple[str, str]) -> Text:
-    return Text.assemble((f"{name:<9}", "dim"), *parts, no_wrap=True, overflow="ellipsis")
+    return Text.assemble((f"{name:<8} ", "dim"), *parts, no_wrap=True, overflow="ellipsis")
 
 
 def _target(status: Status) -> Text:
