@@ -11,9 +11,9 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from companion.exits import Exit
-from companion.settings import RangesSettings, Settings
 
 if TYPE_CHECKING:
+    from companion.settings import RangesSettings, Settings
     from companion.watch.terminal import Screen
 
 WATCH_EXAMPLES = (

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -116,6 +115,8 @@ def _link_overrides(args: argparse.Namespace) -> list[str]:
 
 def check(args: argparse.Namespace) -> int:
     """Look whether everything is ready to fly."""
+    import shutil
+
     from companion.check import check, text
 
     loaded = _load(args.config, _link_overrides(args))
