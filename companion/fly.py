@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from collections.abc import Callable
@@ -73,6 +74,7 @@ def fly(
                 view.tell("shadow: everything is computed, nothing is sent but the heartbeat")
             if recorder.problem is not None:
                 view.tell(f"not recorded: {recorder.problem}")
+            gc.freeze()  # what is there now stays: the collector need not look at it again
             final = run(live(vehicle, ranges, bell), settings, send, recorder.write)
     except (OSError, ValueError, serial.SerialException, zenoh.ZError) as error:
         print(f"companion: link: {error}", file=sys.stderr)

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from companion import echo, limits, phase, reasons
 from companion.beacons import configured
-from companion.guidance import schemes, station, station_paper
+from companion.guidance import schemes
 from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.health import Health, battery_low, can_fly, fresh_estimator
 from companion.intake import predict, take_in
@@ -61,6 +61,11 @@ def plan(settings: Settings) -> Plan:
 
 
 def _station_plan(settings: Settings) -> Plan:
+    from companion.guidance import (
+        station,
+        station_paper,
+    )  # a tenth of the start of a flight that needs neither
+
     names = sorted(settings.beacons)  # the numbers must not depend on the order in a file: a replay is exact
     beacons = [settings.beacons[name] for name in names]
     distances_m = tuple(b.station_distance_m for b in beacons if b.station_distance_m is not None)

@@ -152,13 +152,13 @@ def _jitter(extent: Extent) -> Part:
 def _cpu(extent: Extent) -> Part:
     with Rig(wire.THREE) as rig:
         ours, floor = (
-            wire.measure(rig, c, wire.THREE, 20.0, extent.cpu_s, 2.0) for c in (wire.WHOLE, wire.FLOOR)
+            wire.measure(rig, c, wire.THREE, 20.0, extent.cpu_s, 2.0) for c in (wire.UNSEEN, wire.FLOOR)
         )
     return Part(
         [
             Figure(
                 key="cpu_percent",
-                what="CPU in flight: 3 beacons × 20 Hz, 50 Hz telemetry, all on",
+                what="CPU in flight: 3 beacons × 20 Hz, 50 Hz telemetry, recording",
                 unit="%",
                 value=100.0 * ours.cpu,
                 floor=100.0 * floor.cpu,

@@ -53,8 +53,11 @@ def _bare(config: Path, _rig: Rig, _scratch: Path) -> list[str]:
 
 def _whole(config: Path, _rig: Rig, scratch: Path) -> list[str]:
     record = scratch / f"flight-{time.monotonic_ns()}.mcap"
-    fly = [sys.executable, "-m", "companion", "fly", "--config", str(config), "--record", str(record)]
-    return [*fly, "--view", "live"]
+    return [sys.executable, "-m", "companion", "fly", "--config", str(config), "--record", str(record)]
+
+
+def _unseen(config: Path, rig: Rig, scratch: Path) -> list[str]:
+    return [*_whole(config, rig, scratch), "--view", "none"]
 
 
 FLOOR = Contender("floor", _floor)
@@ -62,6 +65,8 @@ BARE = Contender("companion", _bare)
 """The loop alone."""
 WHOLE = Contender("companion, all on", _whole)
 """`companion fly` as it stands: recording, status on Zenoh, ground station's messages, live view."""
+UNSEEN = Contender("companion, no view", _unseen)
+"""The same without a person who watches."""
 
 
 def configuration(rig: Rig, beacons: tuple[Beacon, ...]) -> str:
