@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 
 # The tests of pages need a browser; without it they are skipped, where COMPANION_REQUIRE_CHROMIUM=1 they fail.
-.PHONY: demo test faults bench-short lint clean chromium
+.PHONY: demo test faults mutants bench-short lint clean chromium
 
 demo: .venv/installed
 	$(BIN)/companion demo --config config/demo.toml
@@ -14,6 +14,10 @@ test: .venv/installed
 # All of it takes minutes; a short form is among the tests.
 faults: .venv/installed
 	$(BIN)/python -m tests.safety.faults --out build
+
+# What the tests of limits and phases would not notice; some minutes.
+mutants: .venv/installed
+	$(BIN)/python -m tests.core.mutants
 
 # The app beside the floor, some minutes; fails where a ratio is twice its goal in every turn.
 bench-short: .venv/installed
@@ -38,4 +42,4 @@ chromium:
 	@touch $@
 
 clean:
-	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build dist mutants *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -7,6 +7,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion import limits
 from companion.settings import LimitSettings
@@ -74,10 +75,64 @@ def test_the_distance_from_the_start_ends_the_forward_speed() -> None:
     assert sent[-1].speed_m_s == 0.0
 
 
-@pytest.mark.parametrize("lie", [math.nan, math.inf, -math.inf, 1e300, -3.0])
-def test_a_bad_speed_means_standstill_or_the_limit(lie: float) -> None:
+@pytest.mark.parametrize(
+    ("lie", "sent"), [(math.nan, 0.0), (math.inf, 0.0), (-math.inf, 0.0), (-3.0, 0.0), (1e300, 0.5)]
+)
+def test_a_bad_speed_means_standstill_or_the_limit(lie: float, sent: float) -> None:
     _, out = limits.apply(CFG, limits.start(0), setpoint(S, lie), 3.0)
-    assert out.speed_m_s in (0.0, pytest.approx(CFG.acceleration_m_s2 * 0.1))
+    assert out.speed_m_s == pytest.approx(sent)
+
+
+@pytest.mark.parametrize("lie", [math.nan, math.inf])
+def test_without_a_heading_there_is_no_speed(lie: float) -> None:
+    state, out = limits.apply(CFG, limits.start(0), setpoint(S, 0.5, heading=lie), 3.0)
+    assert (out.speed_m_s, out.heading_rad) == (0.0, 0.0)
+    assert (state.speed_m_s, state.heading_rad) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "sent"), [(0.3, 0.3), (-0.3, -0.3), (9.0, 0.5), (-9.0, -0.5), (math.nan, 0.0)]
+)
+def test_the_climb_is_bounded_either_way(asked: float, sent: float) -> None:
+    _, out = limits.apply(CFG, limits.start(0), Setpoint(S, 0.0, 0.0, 0.0, None, asked), 3.0)
+    assert out.climb_m_s == sent
+
+
+@pytest.mark.parametrize("heading", [0.4, 2.0, -2.5])
+def test_the_dead_reckoning_follows_the_heading(heading: float) -> None:
+    state = limits.start(7 * S)
+    for k in range(81):  # a speed counts from the moment it is sent to the next one
+        state, _ = limits.apply(
+            LimitSettings(), state, setpoint(7 * S + k * S // 20, 0.25, 0.0, heading), 3.0
+        )
+    flown_m = 0.25 * 79 / 20  # the first has no time in which to gain speed, the last has not been flown
+    assert state.path_m == pytest.approx(flown_m)
+    assert (state.x_m, state.y_m) == pytest.approx((flown_m * math.cos(heading), flown_m * math.sin(heading)))
+
+
+def test_a_budget_is_spent_beyond_it_not_at_it() -> None:
+    cfg = LimitSettings(flight_time_s=10.0, distance_m=50.0, from_start_m=20.0)
+    fresh = limits.start(100 * S)
+    assert limits.spent(cfg, fresh, 100 * S) is None
+    assert limits.spent(cfg, fresh, 110 * S) is None
+    assert "flight time over 10 s" in str(limits.spent(cfg, fresh, 110 * S + S // 10))
+    for spent, state in (
+        (False, replace(fresh, path_m=50.0)),
+        (True, replace(fresh, path_m=50.01)),
+        (False, replace(fresh, x_m=-20.0)),
+        (False, replace(fresh, y_m=20.0)),
+        (True, replace(fresh, x_m=-20.01)),
+        (True, replace(fresh, y_m=-20.01)),
+        (True, replace(fresh, x_m=15.0, y_m=15.0)),
+    ):
+        assert (limits.spent(cfg, state, 100 * S) is not None) is spent
+
+
+def test_a_new_engagement_counts_from_its_own_start() -> None:
+    """A clock that has run for long is no gap: no slew is owed, no way was flown."""
+    state, out = limits.apply(CFG, limits.start(500 * S), setpoint(500 * S, 0.5, 1.0), 3.0)
+    assert (out.speed_m_s, out.yaw_rate_rad_s) == (0.0, 0.0)
+    assert limits.spent(CFG, state, 500 * S) is None
 
 
 def test_slowing_down_and_stopping_to_turn_are_never_delayed() -> None:
@@ -95,6 +150,14 @@ def test_the_yaw_rate_is_slewed_away_from_zero() -> None:
     state, second = limits.apply(cfg, state, setpoint(S // 10, 0.0, 1.0), 3.0)
     assert first.yaw_rate_rad_s == pytest.approx(0.1)
     assert second.yaw_rate_rad_s == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_turn_that_is_reversed_is_slewed_from_zero(sign: float) -> None:
+    cfg = LimitSettings(yaw_acceleration_rad_s2=2.0)
+    state = replace(limits.start(0), yaw_rate_rad_s=0.8 * sign)
+    _, out = limits.apply(cfg, state, setpoint(S // 20, 0.0, -1.0 * sign), 3.0)
+    assert out.yaw_rate_rad_s == pytest.approx(-0.1 * sign)
 
 
 @pytest.mark.parametrize(
