@@ -36,10 +36,10 @@ def make(directory: Path, port: int = 7447) -> Path:
 
 
 @contextmanager
-def router(directory: Path, port: int) -> Iterator[None]:
+def router(directory: Path, file: str = "zenoh.json5") -> Iterator[None]:
     """zenohd's stand-in, with the very file and in the directory that it would be started in."""
     code = (
-        "import sys, zenoh; s = zenoh.open(zenoh.Config.from_file('zenoh.json5'));"
+        f"import sys, zenoh; s = zenoh.open(zenoh.Config.from_file('{file}'));"
         "print(); sys.stdin.read(); s.close()"
     )
     process = subprocess.Popen(

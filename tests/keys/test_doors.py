@@ -7,7 +7,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,7 +40,7 @@ class Door(NamedTuple):
 def door(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Door]:
     directory, port = tmp_path_factory.mktemp("site"), free_port()
     make(directory, port)
-    with router(directory, port):
+    with router(directory):
         yield Door(directory, port)
 
 
@@ -234,7 +234,7 @@ def test_a_router_that_is_not_the_sites_is_not_believed(door: Door, tmp_path: Pa
     """Somebody listens at the router's address with a certificate of another authority."""
     port = free_port()
     make(tmp_path / "other", port)
-    with router(tmp_path / "other", port):
+    with router(tmp_path / "other"):
         link = RangeLink(door._replace(port=port).settings("vehicle-u1"), lambda: None)
         until(lambda: link.reason)
         assert not link.connected()
@@ -261,6 +261,35 @@ def test_a_certificate_without_a_rule_connects_and_can_do_nothing(
     ear.hears(partial(b1.put, "uwb/v1/lab/b1/t1/range", b""), "uwb/v1/lab/b1/t1/range")
     assert stranger.info.routers_zid()
     assert set(ear.keys) == {"uwb/v1/lab/b1/t1/range"}
+
+
+def test_a_certificate_that_expires_ends_the_connection_that_it_opened(
+    door: Door, opened: Open, tmp_path: Path
+) -> None:
+    ca = site.authority_of(door.directory)
+    made = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=5)
+    soon = certificates.issue(ca, Role.BEACON, "b1", made, 1)
+    session = opened(door.settings(str(write(tmp_path / "who", soon, ca.certificate_pem()))))
+    assert session.info.routers_zid()
+    until(lambda: not session.info.routers_zid())
+
+
+def test_routers_of_a_site_hand_on_to_each_other_what_they_let_in(door: Door, opened: Open) -> None:
+    """A second router with a copy of the first one's directory, connected to it."""
+    place, port = door.directory / "router", free_port()
+    text = (place / "zenoh.json5").read_text().replace(str(door.port), str(port))
+    there = f'connect: {{ endpoints: ["tls/127.0.0.1:{door.port}"] }},'
+    (place / "second.json5").write_text(text.replace('mode: "router",', f'mode: "router", {there}'))
+    with router(door.directory, "second.json5"):
+        ear = Ear(opened(door._replace(port=port).settings("watcher-desk")))
+        b1 = opened(door.settings("beacon-b1"))
+
+        def put() -> None:
+            b1.put("uwb/v1/lab/b2/t1/range", b"forged")
+            b1.put("uwb/v1/lab/b1/t1/range", b"mine")
+
+        ear.hears(put, "uwb/v1/lab/b1/t1/range")
+        assert set(ear.keys) == {"uwb/v1/lab/b1/t1/range"}
 
 
 # ------------------------------------------------------------------------- our own look at the files
