@@ -52,7 +52,9 @@ def _unfit(p: Plan, s: State, t_ns: int) -> Iterator[str]:
     e = fresh_estimator(h, t_ns)
     if e is not None:
         lacks = shortfalls(cfg.vehicle, cfg.loss.hand_over_to, e)
-        yield from (f"a valid estimate. {lack.text()}" for lack in lacks if lack.vital)
+        yield from (
+            f"a valid {lack.subject} estimate. {lack.why} → {lack.do}" for lack in lacks if lack.vital
+        )
 
 
 def who(p: Plan, s: State, t_ns: int) -> Company:
@@ -107,7 +109,7 @@ def _vehicle_warnings(p: Plan, s: State, t_ns: int) -> Iterator[str]:
         return
     told = {
         "LOCAL_POSITION_NED": v.t_motion_ns is not None,
-        "CURRENT_MODE": v.t_mode_ns is not None,
+        "CURRENT_MODE": v.t_mode_ns is not None or p.settings.vehicle.kind == "ardupilot",
         "EXTENDED_SYS_STATE": v.landed is not Landed.UNKNOWN,
         "ESTIMATOR_STATUS": h.estimator is not None,
         "BATTERY_STATUS": h.share is not None or h.charge is not Charge.UNKNOWN,

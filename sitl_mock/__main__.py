@@ -148,8 +148,8 @@ def _key(path: Path | None) -> bytes | None:
         raise ValueError(f"--sign-key {path}: {error}") from None
 
 
-def _params(texts: list[str]) -> Params:
-    params = Params()
+def _params(texts: list[str], ardupilot: bool) -> Params:
+    params = Params(ardupilot=ardupilot)
     for text in texts:
         name, _, value = text.partition("=")
         try:
@@ -171,7 +171,7 @@ def main(argv: list[str] | None = None) -> int:
             if not re.match(KEY_PART, part):
                 raise ValueError(f"{name} {part!r}: must be one part of a key, without / * $ ? # or spaces")
         faults: tuple[FaultAt, ...] = tuple(parse_fault(text) for text in args.fault)
-        params = _params(args.param)
+        params = _params(args.param, args.autopilot == "ardupilot")
         from sitl_mock.wire import Endpoints, Wire  # zenoh and pymavlink only once the input is good
 
         endpoints = Endpoints(

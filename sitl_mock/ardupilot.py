@@ -18,7 +18,7 @@ from sitl_mock.modes import Mode, Result
 from sitl_mock.px4 import CRITICAL, Px4
 from sitl_mock.vehicle import STEP_S
 
-GUID_TIMEOUT_S = 3.0
+FS_GCS_TIMEOUT_S = 5.0
 FRAMES = frozenset({1, 7, 8, 9})
 """LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED: any other stops the vehicle."""
 NUMBER = {
@@ -48,6 +48,7 @@ class ArduPilot(Px4):
     """The commander with ArduCopter's rules."""
 
     is_ardupilot = True
+    _ground_step: int | None = None
     after_take_off = Mode.OFFBOARD
 
     @property
@@ -82,8 +83,18 @@ class ArduPilot(Px4):
         super().step()
         since = self._stream_step
         flying = self.mode is Mode.OFFBOARD and self.autopilot.offboard is not None
-        if flying and since is not None and (self._steps - since) * STEP_S > GUID_TIMEOUT_S:
+        if flying and since is not None and (self._steps - since) * STEP_S > self.params["GUID_TIMEOUT"]:
             self.autopilot.offboard = _STANDSTILL
+        heard = self._ground_step
+        lost = heard is not None and (self._steps - heard) * STEP_S > FS_GCS_TIMEOUT_S
+        if lost and self.armed and self._forced is None and self.params["FS_GCS_ENABLE"] == 5:
+            self._say(CRITICAL, "GCS Failsafe")
+            self._forced = Mode.LAND
+
+    def hear(self, system: int) -> None:
+        """A HEARTBEAT of this system; only that of SYSID_MYGCS counts, from the first one on."""
+        if system == self.params["SYSID_MYGCS"]:
+            self._ground_step = self._steps
 
     def _fallback(self) -> Mode:
         """FS_EKF_ACTION = 1: land."""

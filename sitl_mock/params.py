@@ -29,11 +29,19 @@ DEFAULTS: dict[str, int | float] = {
 """PX4's defaults (COM_RCL_EXCEPT as set for flying without radio control): int is INT32, float REAL32."""
 
 
+ARDUPILOT_DEFAULTS: dict[str, int | float] = {
+    "FS_GCS_ENABLE": 0,  # no HEARTBEAT of SYSID_MYGCS for 5 s: 0 nothing, 5 land
+    "GUID_TIMEOUT": 3.0,  # s without a setpoint, then GUIDED stands
+    "SYSID_MYGCS": 255,
+}
+"""ArduCopter's, as far as its mock obeys them; the others here keep PX4's names."""
+
+
 class Params:
     """A parameter table. A parameter keeps its type for ever."""
 
-    def __init__(self, overrides: dict[str, int | float] | None = None) -> None:
-        self.values = dict(DEFAULTS)
+    def __init__(self, overrides: dict[str, int | float] | None = None, ardupilot: bool = False) -> None:
+        self.values = DEFAULTS | (ARDUPILOT_DEFAULTS if ardupilot else {})
         """Name → value, now; to be changed by `set` only."""
         for name, value in (overrides or {}).items():
             self.set(name, value)

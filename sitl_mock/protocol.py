@@ -169,6 +169,8 @@ class Protocol:
             if mode is not None:
                 self.px4.set_mode(mode)
         elif kind == "HEARTBEAT":
+            if isinstance(self.px4, ArduPilot):
+                self.px4.hear(message.get_srcSystem())
             if message.type == mavlink.MAV_TYPE_GCS:
                 self._gcs_seen.add(link)
         elif kind.startswith("PARAM_"):
@@ -364,14 +366,15 @@ class Protocol:
             self.px4.params.set(name, value)
 
     def _send_param(self, link: Link, name: str) -> None:
-        """PARAM_VALUE; silence for a name that is not there, as PX4 does. Integers travel bit for bit."""
+        """PARAM_VALUE; silence for a name that is not there. PX4's integers travel bit for bit."""
         value = self.px4.params.get(name)
         if value is None:
             return
         kind = mavlink.MAV_PARAM_TYPE_REAL32
         if isinstance(value, int):
             kind = mavlink.MAV_PARAM_TYPE_INT32
-            value = struct.unpack("<f", struct.pack("<i", value))[0]
+            if not self.px4.is_ardupilot:
+                value = struct.unpack("<f", struct.pack("<i", value))[0]
         names = self.px4.params.names()
         self._send(
             link,

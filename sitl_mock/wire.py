@@ -125,7 +125,7 @@ class Wire:
     ) -> None:
         self._truth: TextIO | None = truth_log.open("w") if truth_log is not None else None
         x, y, heading = start_pose(scenario, seed)
-        params = params or Params()
+        params = params or Params(ardupilot=endpoints.autopilot == "ardupilot")
         self.faults = Faults(faults)
         self.vehicle = Vehicle(scenario, x, y, 0.0, heading)
         kind = ArduPilot if endpoints.autopilot == "ardupilot" else Px4

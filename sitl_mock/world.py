@@ -101,7 +101,7 @@ class World:
         height_m = 0.0 if self._is_ardupilot else scenario.start_height_m
         self.vehicle = Vehicle(scenario, x, y, height_m, heading)
         kind = ArduPilot if self._is_ardupilot else Px4
-        self.px4 = kind(scenario, seed, self.vehicle, Params(params), self.faults)
+        self.px4 = kind(scenario, seed, self.vehicle, Params(params, self._is_ardupilot), self.faults)
         if not self._is_ardupilot:
             self.px4.start_in_air()
         self.beacons = [Beacon(at, scenario, seed, self.faults) for at in scenario.beacons]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from companion.check import parameters
+from companion.check import ardupilot, parameters
 from companion.check.report import Part, Row, State, never_came
 from companion.health import WITHOUT, shortfalls
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
@@ -36,6 +36,8 @@ def judge(settings: Settings, found: VehicleFindings, is_signing: bool, watched_
     yield from _telemetry(settings, found)
     if found.is_px4:
         yield from parameters.judge(settings, found, watched_s)
+    elif found.vendor == "ArduPilot":
+        yield from ardupilot.judge(found, watched_s)
 
 
 # ------------------------------------------------------------------------------------------------ link
@@ -147,15 +149,6 @@ def _autopilot(settings: Settings, found: VehicleFindings, watched_s: float) -> 
         )
     else:
         yield Row(Part.AUTOPILOT, "autopilot", State.OK, who)
-    if found.vendor == "ArduPilot":
-        yield Row(
-            Part.AUTOPILOT,
-            "loss of this app",
-            State.WARN,
-            "parameters are not read",
-            "When setpoints stop, ArduCopter stops after GUID_TIMEOUT (3 s) and stays in GUIDED.",
-            f"set FS_GCS_ENABLE = 5 and SYSID_MYGCS = {found.system_id}: without our HEARTBEAT it lands",
-        )
     if found.version is None:
         yield never_came(
             Part.AUTOPILOT,

@@ -14,6 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.link.ekf_status import EkfStatusMessage
 from companion.link.modes import Dialect
 from companion.link.px4_events import event_words
 from companion.types import (
@@ -149,7 +150,7 @@ _DECODERS: dict[str, Decoder] = {
     "SYS_STATUS": sys_status,
     "BATTERY_STATUS": battery_status,
     "ESTIMATOR_STATUS": estimator_status,
-    "EKF_STATUS_REPORT": estimator_status,
+    EkfStatusMessage.msgname: estimator_status,
 }
 
 

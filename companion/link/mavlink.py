@@ -51,7 +51,6 @@ _STEERING = frozenset(
 )
 """Setpoints: whoever sends these to our vehicle flies it."""
 
-_MODE_RATE_HZ = 20.0
 _LANDED_RATE_HZ = 5.0
 
 
@@ -84,7 +83,6 @@ class VehicleLink:
         self._wanted_hz = self._dialect.rates_hz | {
             mavlink.MAVLINK_MSG_ID_ATTITUDE: settings.telemetry_rate_hz,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: settings.telemetry_rate_hz,
-            mavlink.MAVLINK_MSG_ID_CURRENT_MODE: _MODE_RATE_HZ,
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_RATE_HZ,
         }
         self._counts = dict.fromkeys(self._wanted_hz, 0)

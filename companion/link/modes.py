@@ -78,16 +78,18 @@ class Dialect(NamedTuple):
     request: Callable[[FlightMode], tuple[float, ...]]
     """Mode → the parameters of MAV_CMD_DO_SET_MODE."""
     rates_hz: dict[int, float]
-    """Messages that are asked for besides those of every autopilot."""
+    """Messages that tell the mode, and how often they are asked for."""
 
 
 DIALECTS = {
-    "px4": Dialect(mavlink.MAV_AUTOPILOT_PX4, px4_mode, _px4_parameters, {}),
+    "px4": Dialect(
+        mavlink.MAV_AUTOPILOT_PX4, px4_mode, _px4_parameters, {mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 20.0}
+    ),
     "ardupilot": Dialect(
         mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
         ardupilot_mode,
         _ardupilot_parameters,
-        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 5.0},  # its mode is told there; EKF_STATUS_REPORT streams anyway
+        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 5.0},
     ),
 }
 """By `vehicle.kind`."""

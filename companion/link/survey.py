@@ -26,6 +26,8 @@ from companion.types import Charge, EstimatorReport, FlightMode, Landed, SystemS
 
 PARAMETERS = ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "COM_RC_OVERRIDE", "MIS_TAKEOFF_ALT")
 """What is judged of PX4's parameters."""
+ARDUPILOT_PARAMETERS = ("FS_GCS_ENABLE", "SYSID_MYGCS", "GUID_TIMEOUT")
+"""The same of ArduCopter's."""
 OPTIONAL_PARAMETERS = ("MAV_SIGN_CFG",)
 """Asked for as well, but not waited for: some versions have it."""
 SETTLE_S, WINDOW_S = 1.0, 2.0
@@ -41,7 +43,10 @@ REQUESTED = ("AUTOPILOT_VERSION", "SYS_STATUS", "BATTERY_STATUS", "ESTIMATOR_STA
 def wanted_rates(settings: VehicleSettings) -> dict[str, float]:
     """The streams of a flight and the rates that it asks for, Hz."""
     rate = settings.telemetry_rate_hz
-    return dict(zip(STREAMED, (rate, rate, 20.0, 5.0), strict=True))
+    rates = dict(zip(STREAMED, (rate, rate, 20.0, 5.0), strict=True))
+    if settings.kind == "ardupilot":  # its mode is in HEARTBEAT
+        del rates["CURRENT_MODE"]
+    return rates
 
 
 class Health(NamedTuple):
@@ -137,10 +142,15 @@ class VehicleSurvey:
         """Messages and parameters that have not come yet, by name."""
         if self.found.t_found_ns is None:
             return ["HEARTBEAT"]
-        names = [name for name in STREAMED + self._requested() if name not in self._seen]
-        if self.found.is_px4:
-            names += [name for name in PARAMETERS if name not in self.found.parameters]
+        names = [name for name in (*self._wanted_hz, *self._requested()) if name not in self._seen]
+        names += [name for name in self._parameters() if name not in self.found.parameters]
         return names
+
+    def _parameters(self) -> tuple[str, ...]:
+        """What is judged of this autopilot."""
+        if self.found.vendor == "ArduPilot":
+            return ARDUPILOT_PARAMETERS
+        return PARAMETERS if self.found.is_px4 else ()
 
     def _requested(self) -> tuple[str, ...]:
         """ArduPilot tells of its estimate by itself, in a message of its own."""
@@ -242,7 +252,7 @@ class VehicleSurvey:
         for name in self._requested():
             if name not in self._seen:
                 self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, _message_id(name))
-        for name in PARAMETERS + OPTIONAL_PARAMETERS if self.found.is_px4 else ():
+        for name in (*self._parameters(), *(OPTIONAL_PARAMETERS if self.found.is_px4 else ())):
             if name not in self.found.parameters:
                 self._send(
                     mavlink.MAVLink_param_request_read_message(
@@ -355,9 +365,9 @@ def _local_position(f: VehicleFindings, m: Any) -> None:
 
 
 def _parameter(f: VehicleFindings, m: Any) -> None:
-    """PX4 sends whole numbers bit for bit in the float field."""
+    """PX4 sends whole numbers bit for bit in the float field, ArduPilot as floats."""
     name: str = m.param_id
-    if m.param_type == mavlink.MAV_PARAM_TYPE_REAL32:
+    if m.param_type == mavlink.MAV_PARAM_TYPE_REAL32 or not f.is_px4:
         if math.isfinite(m.param_value):
             f.parameters[name] = m.param_value
     else:

@@ -197,7 +197,7 @@ def test_without_a_valid_velocity_it_waits_and_names_the_parameters() -> None:
     waiting = fly(script.run(2.0))
     assert waiting.state.phase is Phase.AWAIT
     (awaited,) = status(waiting).awaited
-    assert "velocity estimate not valid" in awaited
+    assert "a valid velocity estimate" in awaited
     assert "EKF2_EV_CTRL" in awaited
     assert "no offboard signal" in awaited
 

@@ -11,13 +11,17 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.check import ardupilot as check
+from companion.check.report import State
 from companion.config import ConfigError, load
 from companion.link.mavlink import VehicleLink, setpoint_message
+from companion.link.survey import VehicleFindings
 from companion.run import run
 from companion.settings import LossSettings, Settings, VehicleSettings
 from companion.types import (
     CompanionHeartbeat,
     Defect,
+    EstimatorReport,
     Event,
     FlightMode,
     Landed,
@@ -31,8 +35,12 @@ from companion.types import (
     VehicleHeartbeat,
 )
 from sitl_mock import ardupilot
-from sitl_mock.modes import Mode
+from sitl_mock.autopilot import Target
+from sitl_mock.faults import Faults
+from sitl_mock.modes import Mode, Result
+from sitl_mock.params import Params
 from sitl_mock.scenario import BeaconAt, Scenario
+from sitl_mock.vehicle import STEP_S, Vehicle
 from sitl_mock.world import World
 from tests.core.flights import LOITER, MS, OFFBOARD, Flown, Script, fly
 from tests.safety.test_check import Wire
@@ -43,6 +51,7 @@ SETTINGS = Settings(vehicle=VEHICLE, loss=LossSettings(hand_over_patience_s=2.0)
 FORWARD = Setpoint(0, 0.5, 0.2, 0.0, None, 0.1)
 AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 GUIDED, LAND, BRAKE = 4, 9, 17
+HANDLE = {"FS_GCS_ENABLE", "SYSID_MYGCS", "GUID_TIMEOUT"}
 
 
 # ------------------------------------------------------------------------------------------------- link
@@ -82,6 +91,15 @@ def test_an_autopilot_of_the_other_kind_is_not_believed() -> None:
         assert isinstance(event, Malformed)
         assert event.defect is Defect.MAVLINK_VENDOR
         assert not wire.sent
+
+
+def test_what_it_tells_of_its_estimate_is_read() -> None:
+    wire = Wire()
+    link = VehicleLink(VEHICLE, wire)
+    hear(link, wire, heartbeat(GUIDED))
+    flags = mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_REL
+    told = hear(link, wire, ardupilot.EkfStatusMessage(flags))
+    assert told == [EstimatorReport(1, velocity=True, position=True, height=False, global_position=False)]
 
 
 def test_the_modes_that_it_is_asked_for_have_its_numbers() -> None:
@@ -202,6 +220,72 @@ def test_a_whole_flight_in_simulation() -> None:
     heights = [sample.height_m for sample in world.truth if sample.t_s > (world.engaged_at_s or 0.0)]
     assert max(heights) - min(heights) < 0.5, "the app holds the height here"
     assert world.px4.mode is Mode.OFFBOARD
+
+
+# ------------------------------------------------------------------------------------------------ check
+
+
+@pytest.mark.parametrize(
+    ("parameters", "warned"),
+    [
+        ({"FS_GCS_ENABLE": 5, "SYSID_MYGCS": 1, "GUID_TIMEOUT": 3.0}, set()),
+        ({"FS_GCS_ENABLE": 0, "SYSID_MYGCS": 255, "GUID_TIMEOUT": 10.0}, HANDLE),
+        ({"FS_GCS_ENABLE": 1, "SYSID_MYGCS": 1, "GUID_TIMEOUT": 3.0}, {"FS_GCS_ENABLE"}),
+        ({}, HANDLE),
+    ],
+)
+def test_the_failsafe_that_stands_in_for_the_app_is_checked(
+    parameters: dict[str, float], warned: set[str]
+) -> None:
+    found = VehicleFindings(vendor="ArduPilot", system_id=1, parameters=parameters)
+    rows = list(check.judge(found, 5.0))
+    assert {row.subject for row in rows} == HANDLE
+    assert {row.subject for row in rows if row.state is not State.OK} == warned
+    assert all(row.do for row in rows if row.state is not State.OK)
+
+
+# ------------------------------------------------------------------------------------------------- mock
+
+
+def guided(**params: int) -> tuple[ardupilot.ArduPilot, Vehicle]:
+    """Up in GUIDED."""
+    scenario = Scenario(telemetry="perfect")
+    vehicle = Vehicle(scenario, 0.0, 0.0, 3.0, 0.0)
+    px4 = ardupilot.ArduPilot(scenario, 1, vehicle, Params(dict(params), ardupilot=True), Faults())
+    px4.start_in_air()
+    assert px4.set_mode(Mode.OFFBOARD) is Result.ACCEPTED, "without a stream"
+    return px4, vehicle
+
+
+def test_guided_forgets_setpoints_from_before_and_flies_those_of_now() -> None:
+    px4, vehicle = guided()
+    px4.set_mode(Mode.LOITER)
+    px4.setpoint(Target(vx_m_s=0.5, vy_m_s=0.0, climb_m_s=0.0))
+    px4.set_mode(Mode.OFFBOARD)
+    run_for(px4, 2.0)
+    assert abs(vehicle.vx_m_s) < 0.05
+    px4.setpoint(Target(vx_m_s=0.5, vy_m_s=0.0, climb_m_s=0.0))
+    run_for(px4, 2.5)
+    assert vehicle.vx_m_s > 0.4
+    run_for(px4, 4.0)
+    assert abs(vehicle.vx_m_s) < 0.05
+    assert (px4.mode, px4.armed) == (Mode.OFFBOARD, True)
+
+
+@pytest.mark.parametrize(("enabled", "mode"), [(5, Mode.LAND), (0, Mode.OFFBOARD)])
+def test_the_heartbeat_of_the_configured_system_is_its_dead_mans_handle(enabled: int, mode: Mode) -> None:
+    px4, _ = guided(FS_GCS_ENABLE=enabled, SYSID_MYGCS=1)
+    px4.hear(1)
+    run_for(px4, 4.0)
+    assert px4.mode is Mode.OFFBOARD
+    px4.hear(255)
+    run_for(px4, 2.0)
+    assert px4.mode is mode
+
+
+def run_for(px4: ardupilot.ArduPilot, seconds: float) -> None:
+    for _ in range(round(seconds / STEP_S)):
+        px4.step()
 
 
 # ------------------------------------------------------------------------------------------------- wire
