@@ -23,6 +23,8 @@ CREEP_RADII = 0.2
 """Without a drift, creep back from this part of the radius."""
 FACING_RAD = 0.7
 """The vehicle faces the drift within this."""
+TURN_M = 0.09
+"""Nearer than this the direction of the station means nothing, and the vehicle does not turn to it."""
 ALIGNED_RAD = 0.3
 """Without a drift, the vehicle turns on the spot until the station is ahead within this."""
 LOOK_S = 2.5
@@ -129,7 +131,7 @@ def _hold(
     else:
         creeps = off > CREEP_RADII * law.radius and abs(theta) < ALIGNED_RAD
     # on the spot, the direction of a station that is almost reached means nothing
-    error = theta if creeps or away > 0.15 else 0.0
+    error = theta if creeps or away > TURN_M else 0.0
     gains = lq.bearing_gains(1.0, law.v, law.yaw_rate_lag, 0.25 * law.q1, law.q2, law.r)
     omega = clip(lq.bearing_yaw_rate(error, yaw_rate, gains), law.omega_max)
     near_s = _near_s(stay, math.hypot(q.ex, q.ey), law.radius, dt)
