@@ -20,7 +20,8 @@ from sitl_mock.world import TruthSample, World
 
 STATION = (8.0, 6.0)
 NEAR = ("sim.random_start=false", "sim.start_x_m=6", "sim.start_y_m=4.5")
-THREE = "sim.beacons=[{id='b1',x_m=12,y_m=9},{id='b2',x_m=5.5,y_m=12},{id='b3',x_m=4,y_m=3}]"
+AT = "{{id='b{}',x_m={},y_m={},height_m=1.5}}"
+THREE = f"sim.beacons=[{AT.format(1, 12, 9)},{AT.format(2, 5.5, 12)},{AT.format(3, 4, 3)}]"
 
 
 def config(*overrides: str) -> Config:
@@ -127,7 +128,7 @@ def test_it_is_not_ready_before_three_beacons_are_heard() -> None:
 
 def test_beacons_in_a_line_are_named_and_the_vehicle_is_handed_over() -> None:
     xs = (12.0, 8.0, 4.0, 10.0)
-    beacons = ",".join(f"{{id='b{i}',x_m={x},y_m=2}}" for i, x in enumerate(xs, 1))
+    beacons = ",".join(AT.format(i, x, 2) for i, x in enumerate(xs, 1))
     distances = [
         f"beacons.b{i}.station_distance_m={math.dist((x, 2.0), STATION)}" for i, x in enumerate(xs, 1)
     ]
