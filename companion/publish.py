@@ -240,7 +240,7 @@ def publish(publication: Publication, say: _Say, stop: Event | None = None) -> E
             if isinstance(p.source, Recording) and p.source.path is not None:
                 _await_somebody(link, stop, say)
             report_at = time.monotonic() + _REPORT_S
-            look_at, connected = 0.0, -1
+            look_at, told = 0.0, ""
             for batch in batches(p.source, p.family, parser, stop, say):
                 for m in batch:
                     if (news := sender.send(m)) is not None:
@@ -250,9 +250,9 @@ def publish(publication: Publication, say: _Say, stop: Event | None = None) -> E
                 now = time.monotonic()
                 if now >= look_at:
                     look_at = now + _LOOK_S
-                    if (count := link.connected()) != connected:
-                        connected = count
-                        say(_connection(count, link.reason))
+                    if (words_now := _connection(link, bool(p.tls))) != told:
+                        told = words_now
+                        say(told)
                 if now >= report_at:
                     report_at = now + _REPORT_S
                     say(sender.tally.text(parser))
@@ -288,12 +288,16 @@ def _timed(m: Measured) -> Measured:
     return m if m.time_s is not None else msgspec.structs.replace(m, time_s=time.monotonic())
 
 
-def _connection(count: int, reason: str) -> str:
+def _connection(link: PublishLink, is_guarded: bool) -> str:
+    count = link.connected()
     if count == 0:
-        return (
-            f"connected to nobody: ranges go nowhere until a router or a vehicle is there. {reason}".strip()
-        )
-    return f"connected to {count} router or peer" + ("s" if count > 1 else "")
+        nobody = "connected to nobody: ranges go nowhere until a router or a vehicle is there."
+        return f"{nobody} {link.reason}".strip()
+    number = f"connected to {count} router or peer" + ("s" if count > 1 else "")
+    if link.is_heard():
+        return f"{number}, and heard"
+    rules = ", or the router's rules do not let this certificate in" if is_guarded else ""
+    return f"{number}, and nobody listens: no vehicle is there{rules}"
 
 
 # ------------------------------------------------------------------------------------------------ check

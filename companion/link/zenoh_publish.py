@@ -100,6 +100,15 @@ class PublishLink:
         self._ready()
         return self._opener.connected()
 
+    def is_heard(self) -> bool:
+        """True where somebody subscribes to what is published.
+
+        Zenoh sends nothing where it is told of no subscriber: with no vehicle there, and with a certificate
+        that the router's rules do not name.
+        """
+        publishers = self._publishers.values()
+        return any(p.matching_status.matching for p in publishers)  # type: ignore[attr-defined]  # its stub errs
+
     def close(self) -> None:
         """Leave the network: the beacons' tokens go with it."""
         self._opener.close()

@@ -102,6 +102,7 @@ def test_a_beacons_ranges_reach_the_vehicle_through_the_router(door: Door) -> No
             events += vehicle.receive()
             if {type(event) for event in events} == {RangeSample, BeaconTold}:
                 break
+        assert publisher.is_heard()
         assert {e.range_m for e in events if isinstance(e, RangeSample)} == {4.25}
         assert {e.height_m for e in events if isinstance(e, BeaconTold)} == {1.5}
     finally:
@@ -258,7 +259,12 @@ def test_a_certificate_without_a_rule_connects_and_can_do_nothing(
     ear, b1 = Ear(opened(door.settings("watcher-desk"))), opened(door.settings("beacon-b1"))
     stranger.put("uwb/v1/lab/b9/t1/range", b"", congestion_control=zenoh.CongestionControl.BLOCK)
     list(stranger.get("uwb/v1/lab/b1/info", timeout=5.0))
+    link = PublishLink(door.settings(str(place)))
+    until(link.connected)
+    link.put("b9", "t1", RangeMessage("s", 0, 4.25))
     ear.hears(partial(b1.put, "uwb/v1/lab/b1/t1/range", b""), "uwb/v1/lab/b1/t1/range")
+    assert not link.is_heard()
+    link.close()
     assert stranger.info.routers_zid()
     assert set(ear.keys) == {"uwb/v1/lab/b1/t1/range"}
 
