@@ -11,6 +11,7 @@ from companion.exits import Exit
 
 if TYPE_CHECKING:
     from companion.publish import Publication
+    from companion.uwb.info import BeaconInfo
     from companion.uwb.sources import Source
 
 FAMILIES = ("qorvo-cli", "fira-uci", "dwm1001-shell", "dwm1001-tlv", "linktrack", "jsonl", "csv")
@@ -57,6 +58,12 @@ def options(parser: argparse.ArgumentParser) -> None:
     about.add_argument("--height", metavar="M", type=float, help="antenna above the take-off point")
     about.add_argument("--antenna-delay", metavar="TICKS", type=int)
     about.add_argument("--bias", metavar="M", type=float, help="mean of measured less true distance")
+    about.add_argument(
+        "--info",
+        metavar="FILE",
+        type=Path,
+        help='of several beacons, each its own, as JSON: {"b1": {"height_m": 1.2, "bias_m": 0.3}, …}',
+    )
 
     serial = parser.add_argument_group("--serial")
     serial.add_argument("--baud", type=int, help="default: the module's usual one")
@@ -125,6 +132,7 @@ def publication(args: argparse.Namespace) -> Publication:
         beacon=args.beacon,
         names=names,
         sigma_m=args.sigma,
+        infos=_infos(args.info),
         info=BeaconInfo(height_m=args.height, antenna_delay_ticks=args.antenna_delay, bias_m=args.bias),
         stamped=not args.no_stamp,
         encoding=wire_range.MSGPACK if args.msgpack else wire_range.JSON,
@@ -133,6 +141,19 @@ def publication(args: argparse.Namespace) -> Publication:
         tls=args.tls,
         save=args.save,
     )
+
+
+def _infos(path: Path | None) -> dict[str, BeaconInfo]:
+    from companion.uwb.info import decode_many
+
+    if path is None:
+        return {}
+    try:
+        return decode_many(path.read_bytes())
+    except OSError as error:
+        raise ValueError(f"--info {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise ValueError(f"--info {path}: {error}") from error
 
 
 def _source(args: argparse.Namespace) -> Source:

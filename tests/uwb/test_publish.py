@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from companion import cli_publish
 from companion.exits import Exit
 from companion.link.zenoh_ranges import RangeLink
 from companion.publish import MOST_PAIRS, Publication, Sender
@@ -170,6 +172,22 @@ def test_a_source_that_cannot_be_meant_is_refused(source: Source, family: Family
 def test_nowhere_to_publish_to() -> None:
     with pytest.raises(ValueError, match="endpoint"):
         Publication(Simulated())
+
+
+def test_each_beacon_may_tell_something_of_its_own(tmp_path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    cli_publish.options(parser)
+    told = tmp_path / "beacons.json"
+    asked = f"--simulate --zenoh-listen tcp/127.0.0.1:0 --info {told}".split()
+    told.write_text('{"b1": {"height_m": 1.2}, "b2": {"bias_m": 0.3}}')
+    infos = cli_publish.publication(parser.parse_args(asked)).infos
+    assert infos == {"b1": BeaconInfo(height_m=1.2), "b2": BeaconInfo(bias_m=0.3)}
+    told.write_text('{"b1": {"height_m": "high"}}')
+    with pytest.raises(ValueError, match=r"beacons.json: Expected `float"):
+        cli_publish.publication(parser.parse_args(asked))
+    told.unlink()
+    with pytest.raises(ValueError, match=r"beacons.json: No such file"):
+        cli_publish.publication(parser.parse_args(asked))
 
 
 def test_info_is_validated() -> None:
