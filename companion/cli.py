@@ -326,13 +326,20 @@ def _parser() -> argparse.ArgumentParser:
         "companion bench network --vehicles 10 --beacons 200 --seconds 10\n"
         "  companion bench network --tls --json",
     )
-    network.add_argument("--vehicles", metavar="N", type=_at_least_one, default=10)
-    network.add_argument("--beacons", metavar="N", type=_at_least_one, default=200)
-    network.add_argument("--rate", metavar="HZ", type=_positive, default=20.0, help="of each beacon")
+    for option, count, what in (
+        ("--vehicles", 10, "how many"),
+        ("--beacons", 200, "how many"),
+        ("--each", 20, "beacons of each vehicle"),
+    ):
+        network.add_argument(
+            option, metavar="N", type=_at_least_one, default=count, help=f"{what} (%(default)s)"
+        )
     network.add_argument(
-        "--each", metavar="N", type=_at_least_one, default=20, help="beacons that a vehicle subscribes to"
+        "--rate", metavar="HZ", type=_positive, default=20.0, help="of each beacon (%(default)s)"
     )
-    network.add_argument("--seconds", metavar="S", type=_positive, default=10.0)
+    network.add_argument(
+        "--seconds", metavar="S", type=_positive, default=10.0, help="measure for so long (%(default)s)"
+    )
     network.add_argument("--tls", action="store_true", help="mutual TLS and access control")
     network.add_argument("--json", action="store_true", help="print one JSON object")
 

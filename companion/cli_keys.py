@@ -10,11 +10,11 @@ from pathlib import Path
 from companion.exits import Exit
 
 EXAMPLES = (
-    "companion keys keys --site lab --router 192.168.1.10 --beacon b1 --beacon b2 --vehicle uav1\n"
-    "  companion keys keys --beacon b3                # one more; the others stay as they are\n"
-    "  companion keys keys                            # who there is, and until when\n"
-    "  companion keys keys --renew beacon/b1          # a new key and certificate for it\n"
-    "  companion keys --check keys/router/zenoh.json5 # what Zenoh would not tell"
+    "companion keys lab-keys --site lab --router 192.168.1.10 --beacon b1 --beacon b2 --vehicle uav1\n"
+    "  companion keys lab-keys --beacon b3                # one more; the others stay as they are\n"
+    "  companion keys lab-keys                            # who there is, and until when\n"
+    "  companion keys lab-keys --renew beacon/b1          # a new key and certificate for it\n"
+    "  companion keys --check lab-keys/router/zenoh.json5 # what Zenoh would not tell"
 )
 
 

@@ -41,6 +41,7 @@ FAULTS = (
     (Fault.ROUTER_FROZEN, 3.0),
     (Fault.ROUTER_FROZEN, 15.0),
     (Fault.PARTITION, 3.0),
+    (Fault.PARTITION, 8.0),
     (Fault.PARTITION, 15.0),
 )
 """With how long it lasts, seconds; a Zenoh session is given up after 10."""
