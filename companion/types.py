@@ -124,8 +124,8 @@ class Event(msgspec.Struct, frozen=True, gc=False, tag_field="event"):
 class RangeSample(Event, frozen=True, gc=False, tag="range"):
     """One distance from one beacon, well-formed but not yet believed (`gate.py` decides that).
 
-    `range_m` is the slant distance. `sent_t_ns` is the publisher's Unix time, for the record only: ages are
-    judged by `t_ns`.
+    `range_m` is the slant distance as measured, bias included. `sent_t_ns` is the publisher's Unix time: only
+    its differences count.
     """
 
     beacon: str
@@ -401,7 +401,7 @@ class Status(Output, frozen=True, gc=False, tag="status"):
     ]
     mode: Annotated[FlightMode | None, Meta(description="the autopilot's flight mode")]
     armed: Annotated[bool | None, Meta(description="whether the vehicle is armed")]
-    range_m: Annotated[float | None, Meta(description="range believed last, slant, metres")]
+    range_m: Annotated[float | None, Meta(description="range believed last, slant, without its bias, metres")]
     range_age_s: Annotated[float | None, Meta(description="time since then, seconds")]
     ranges_accepted: Annotated[int, Meta(description="ranges believed so far")]
     rejected: Annotated[dict[str, int], Meta(description="ranges not believed so far, by reason")]

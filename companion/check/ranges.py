@@ -184,7 +184,7 @@ def _not_heard(settings: Settings, beacon: str, found: RangeFindings, watched_s:
         Part.RANGES,
         _name(settings, beacon),
         State.FAIL if why else State.WARN,
-        f"no range on {key} within {watched_s:.1f} s",
+        f"no range on {', '.join([key, *(t.topic for t in r.ros2)])} within {watched_s:.1f} s",
         why,
         "is the beacon on, in reach, and published under this site, id and tag?"
         + (" And do the router's rules let both in: `companion keys --check` there" if r.tls else ""),

@@ -35,7 +35,8 @@ _FLOOD = 5.0
 _MANY = 16
 """A door with a wildcard lets so many times more in."""
 _ANSWERS = 64
-"""Answers of beacons that wait at most."""
+"""Answers of beacons that wait, and beacons that are asked when they appear, at most."""
+_ASK_AGAIN_S = 1.0
 _ANSWER_S = 2.0
 _TELL_NS = 100_000_000
 """A flood is told so often at most, so that telling it is no flood itself."""
@@ -110,6 +111,7 @@ class RangeLink:
         self._wake = wake
         self._doors: list[Door] = []
         self._told: deque[Raw] = deque(maxlen=_ANSWERS)
+        self._asked: dict[str, float] = {}
         self._beacons = tuple(beacons)
         for beacon in self._beacons:
             key = wire_range.range_key(settings.site, beacon, settings.tag)
@@ -142,9 +144,12 @@ class RangeLink:
         self._wake()
 
     def _ask(self, session: zenoh.Session, token: zenoh.Sample) -> None:
-        """A beacon has appeared."""
-        if token.kind == zenoh.SampleKind.PUT:
-            beacon = str(token.key_expr).split("/")[-2]
+        """A beacon has appeared. One that comes and goes all the time is asked now and then."""
+        beacon, now = str(token.key_expr).split("/")[-2], time.monotonic()
+        if token.kind != zenoh.SampleKind.PUT or now - self._asked.get(beacon, -_ASK_AGAIN_S) < _ASK_AGAIN_S:
+            return
+        if beacon in self._asked or len(self._asked) < _ANSWERS:
+            self._asked[beacon] = now
             self._query(session, wire_range.info_key(self._settings.site, beacon))
 
     def _query(self, session: zenoh.Session, key: str) -> None:

@@ -14,7 +14,14 @@ from companion.check.ranges import judge as judge_ranges
 from companion.check.report import CheckReport, Part, Row, State, text
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
 from companion.link.survey import Health, Other, VehicleFindings
-from companion.settings import BeaconSettings, MissionSettings, Settings, VehicleSettings
+from companion.settings import (
+    BeaconSettings,
+    MissionSettings,
+    RangesSettings,
+    Ros2Settings,
+    Settings,
+    VehicleSettings,
+)
 from companion.types import (
     BeaconTold,
     Charge,
@@ -265,6 +272,13 @@ def test_nobody_connected_and_no_target() -> None:
     assert "no endpoint configured" in row(rows, "Zenoh").found
     assert row(rows, "b1 (target)").state is State.FAIL
     assert "uwb/v1/lab/b1/*/range within 5.0 s" in row(rows, "b1 (target)").found
+
+
+def test_ros2_topics_are_named_where_nothing_comes() -> None:
+    settings = Settings(ranges=RangesSettings(ros2=(Ros2Settings(topic="/uwb/b1"),)))
+    assert (
+        "range on uwb/v1/lab/b1/*/range, /uwb/b1 within" in row(heard(settings=settings), "b1 (target)").found
+    )
 
 
 def test_another_beacon_missing_is_no_hindrance() -> None:
