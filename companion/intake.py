@@ -67,9 +67,8 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e, range_m, sigma_m, rate_m_s)
     if track is not None:
         r = replace(r, tracks={**r.tracks, e.beacon: track})
-        s = replace(s, ranging=r)
     if verdict is not Verdict.ACCEPTED:
-        return _reject(s, verdict)
+        return _reject(replace(s, ranging=r), verdict)
     o = predict(p, s, e.t_ns)
     height_m = cfg.height_m if s.vehicle.height_m is None else s.vehicle.height_m
     guidance = p.scheme.update(
@@ -81,37 +80,35 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
         height_m - beacon.height_m,
         cfg.height_sigma_m,
     )
-    s = replace(s, observing=replace(o, guidance=guidance))
+    o = replace(o, guidance=guidance)
     if not guidance.accepted:
-        return _reject(s, Verdict.OUTLIER)
+        return _reject(replace(s, ranging=r, observing=o), Verdict.OUTLIER)
     heard = {**r.heard, e.beacon: e.t_ns}
     r = replace(
         r,
         t_ns=e.t_ns,
         heard=heard,
-        t_enough_ns=_enough(p, s, heard),
+        t_enough_ns=_enough(r.t_enough_ns, heard, beacons_needed(p, o)),
         accepted=r.accepted + 1,
         range_m=range_m,
         verdict=Verdict.ACCEPTED,
     )
-    return replace(s, ranging=r)
+    return replace(s, ranging=r, observing=o)
 
 
-def _enough(p: Plan, s: State, heard: dict[str, int]) -> int | None:
+def _enough(before: int | None, heard: dict[str, int], needed: int) -> int | None:
     """One silent beacon of many is no loss: the time of the newest range but as many as are needed."""
     times = sorted(heard.values(), reverse=True)
-    needed = beacons_needed(p, s)
-    before = s.ranging.t_enough_ns
     if len(times) < needed:
         return before
     return times[needed - 1] if before is None else max(before, times[needed - 1])
 
 
-def beacons_needed(p: Plan, s: State) -> int:
+def beacons_needed(p: Plan, o: Observing) -> int:
     """So many beacons must be heard now."""
     if p.to_find == p.to_keep:
         return p.to_find
-    is_located = p.scheme.knowledge(p.scheme.p, s.observing.guidance).sigma_d_m < UNKNOWN_M
+    is_located = p.scheme.knowledge(p.scheme.p, o.guidance).sigma_d_m < UNKNOWN_M
     return p.to_keep if is_located else p.to_find
 
 

@@ -78,15 +78,16 @@ def fix(f: DriftLift, i: Information, x: float, y: float) -> Fix:
     n11 = n12 = n22 = det = 1.0
     g1 = g2 = g3 = 0.0
     for _ in range(_STEPS):
-        e1 = 0.5 * (x * x + y * y) - f.x1
+        xx, yy = x * x, y * y
+        e1 = 0.5 * (xx + yy) - f.x1
         e2 = x - f.x
         e3 = y - f.y
         g1 = i11 * e1 + i12 * e2 + i13 * e3
         g2 = i12 * e1 + i22 * e2 + i23 * e3
         g3 = i13 * e1 + i23 * e2 + i33 * e3
-        n11 = x * x * i11 + 2.0 * x * i12 + i22
+        n11 = xx * i11 + 2.0 * x * i12 + i22
         n12 = x * y * i11 + x * i13 + y * i12 + i23
-        n22 = y * y * i11 + 2.0 * y * i13 + i33
+        n22 = yy * i11 + 2.0 * y * i13 + i33
         det = n11 * n22 - n12 * n12
         if det < 1e-30:
             det = 1e-30

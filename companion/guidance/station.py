@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from companion.guidance import station_fit, station_pose, station_search, station_steer
 from companion.guidance.model import clip, wrap
@@ -64,7 +66,7 @@ class Problem(IntEnum):
     """The beacons lie in a line: the station may be on either side of it. The flight is refused."""
 
 
-class Parameters(NamedTuple):
+class Parameters(msgspec.Struct, frozen=True, gc=False):
     """What stays the same; `distances` d_i* by beacon number."""
 
     distances: tuple[float, ...]
@@ -74,7 +76,7 @@ class Parameters(NamedTuple):
     gate_sigma: float
 
 
-class Beacon(NamedTuple):
+class Beacon(msgspec.Struct, frozen=True, gc=False):
     """One beacon: its range as followed from reading to reading, what its ranges say, and its place."""
 
     seen: int
@@ -90,7 +92,7 @@ class Beacon(NamedTuple):
     block: Block
 
 
-class Station(NamedTuple):
+class Station(msgspec.Struct, frozen=True, gc=False):
     """State. Time, path and heading count from the beginning of the search; `vx`, `vy` are through the air,
     in the frame of the fit (of the map, in KEEP). `turn` is +1.0 to the left, −1.0 to the right."""
 
@@ -142,7 +144,8 @@ def predict(
     c, sn = math.cos(middle), math.sin(middle)
     vx = forward_m_s * c - left_m_s * sn
     vy = forward_m_s * sn + left_m_s * c
-    return s._replace(
+    return replace(
+        s,
         t=s.t + dt_s,
         x=s.x + vx * dt_s,
         y=s.y + vy * dt_s,
@@ -163,16 +166,16 @@ def update(
     b = s.beacons[beacon]
     if b.seen < FIRST_RANGES:
         recent = (range_m, *b.recent[:4])
-        b = b._replace(seen=b.seen + 1, recent=recent, range_m=sorted(recent)[2], rate_m_s=0.0, t=s.t)
-        return s._replace(accepted=1.0, beacons=_with(s.beacons, beacon, b))
+        b = replace(b, seen=b.seen + 1, recent=recent, range_m=sorted(recent)[2], rate_m_s=0.0, t=s.t)
+        return replace(s, accepted=1.0, beacons=_with(s.beacons, beacon, b))
     if s.mode == Mode.KEEP and b.located:
         pose, accepted = station_pose.update(
             s.pose, b.bx, b.by, range_m, sigma_m, dh_m, sigma_dh_m, p.gate_sigma
         )
         if not accepted:
             return _reject(p, s, beacon)
-        b = b._replace(rejected=REJECTION_MEMORY * b.rejected, t=s.t)
-        return s._replace(accepted=1.0, pose=pose, beacons=_with(s.beacons, beacon, b))
+        b = replace(b, rejected=REJECTION_MEMORY * b.rejected, t=s.t)
+        return replace(s, accepted=1.0, pose=pose, beacons=_with(s.beacons, beacon, b))
     # believed if it follows from the last ones; the fit may still be wrong
     dt = s.t - b.t
     expected = b.range_m + b.rate_m_s * dt
@@ -203,7 +206,7 @@ def update(
         b.seen, expected + 0.25 * off, rate, s.t, REJECTION_MEMORY * b.rejected, b.recent, m, b.located,
         bx, by, block,
     )  # fmt: skip
-    return s._replace(accepted=1.0, beacons=_with(s.beacons, beacon, b))
+    return replace(s, accepted=1.0, beacons=_with(s.beacons, beacon, b))
 
 
 def _with(beacons: tuple[Beacon, ...], i: int, b: Beacon) -> tuple[Beacon, ...]:
@@ -214,17 +217,17 @@ def _reject(p: Parameters, s: Station, beacon: int) -> Station:
     """Count a range that is not believed; where most are not, begin with the beacon anew, or with all."""
     b = s.beacons[beacon]
     rejected = REJECTION_MEMORY * b.rejected + 1.0 - REJECTION_MEMORY
-    s = s._replace(accepted=0.0)
+    s = replace(s, accepted=0.0)
     if rejected <= 0.5:
-        return s._replace(beacons=_with(s.beacons, beacon, b._replace(rejected=rejected)))
+        return replace(s, beacons=_with(s.beacons, beacon, replace(b, rejected=rejected)))
     if s.mode != Mode.KEEP:
         # its ranges have jumped; what they said before holds
-        return s._replace(beacons=_with(s.beacons, beacon, b._replace(seen=0, rejected=0.0)))
+        return replace(s, beacons=_with(s.beacons, beacon, replace(b, seen=0, rejected=0.0)))
     others = [o for i, o in enumerate(s.beacons) if i != beacon and o.located and s.t - o.t < FRESH_S]
     doubted = 2 * sum(o.rejected > 0.4 for o in others) > len(others)
     if len(others) < 2 or doubted or (len(others) < BEACONS_NEEDED and not s.stay.is_there):
         return _fresh(p, s.turn)
-    return s._replace(beacons=_with(s.beacons, beacon, _UNSEEN))
+    return replace(s, beacons=_with(s.beacons, beacon, _UNSEEN))
 
 
 # --------------------------------------------------------------------------------------------- commands
@@ -237,10 +240,10 @@ def command(p: Parameters, s: Station, dt_s: float, yaw_rate_rad_s: float) -> tu
         return s, Command(stand.v_m_s, stand.omega_rad_s, REFUSE)
     if s.mode == Mode.WAIT:
         if sum(b.seen >= FIRST_RANGES for b in s.beacons) < BEACONS_NEEDED:
-            return s._replace(problem=Problem.TOO_FEW if s.t > PATIENCE_S else Problem.NONE), stand
-        beacons = tuple(b._replace(t=b.t - s.t) for b in s.beacons)
-        s = s._replace(
-            mode=Mode.SEARCH, problem=Problem.NONE, t=0.0, x=0.0, y=0.0, heading=0.0, beacons=beacons
+            return replace(s, problem=Problem.TOO_FEW if s.t > PATIENCE_S else Problem.NONE), stand
+        beacons = tuple(replace(b, t=b.t - s.t) for b in s.beacons)
+        s = replace(
+            s, mode=Mode.SEARCH, problem=Problem.NONE, t=0.0, x=0.0, y=0.0, heading=0.0, beacons=beacons
         )
     if s.mode == Mode.SEARCH:
         s = _search(p, s)
@@ -253,7 +256,7 @@ def command(p: Parameters, s: Station, dt_s: float, yaw_rate_rad_s: float) -> tu
     if s.mode == Mode.WAIT or s.problem == Problem.TOO_FEW:
         return s, stand
     stay, wanted = station_steer.steer(p.law, _situation(s), s.stay, dt_s, yaw_rate_rad_s)
-    return s._replace(stay=stay), wanted
+    return replace(s, stay=stay), wanted
 
 
 def _situation(s: Station) -> Situation:
@@ -272,14 +275,14 @@ def _search(p: Parameters, s: Station) -> Station:
     if not s.search.is_done:
         return s
     best, gap = station_search.result(s.search)
-    s = s._replace(at=best.at)
+    s = replace(s, at=best.at)
     late = s.t > p.keeping.search_max_s
     known = _knowledge(s)
     if s.t < p.keeping.probe_turn_s or (
         not late and (known.sigma_theta_rad > p.keeping.probe_sigma_rad or gap < AMBIGUOUS)
     ):
-        return s._replace(search=station_search.NEW)
-    return _adopt(s, best)._replace(mode=Mode.FOLLOW, t_refit=0.0)
+        return replace(s, search=station_search.NEW)
+    return replace(_adopt(s, best), mode=Mode.FOLLOW, t_refit=0.0)
 
 
 def _advance(p: Parameters, s: Station, looks: int, fits: int) -> Station:
@@ -294,14 +297,14 @@ def _advance(p: Parameters, s: Station, looks: int, fits: int) -> Station:
                 places = station_search.modes(b.moments, s.x, s.y, b.range_m, p.keeping.drift_sigma_m_s)
                 found = station_search.Candidate(i, b.moments, p.distances[i], places)
             search = station_search.look(search, found)
-        return s._replace(search=search)
+        return replace(s, search=search)
     if len(search.candidates) < BEACONS_NEEDED:
-        return s._replace(search=station_search.NEW)
+        return replace(s, search=station_search.NEW)
     if not search.starts:
         search = station_search.plan(search)
     for _ in range(min(fits, len(search.starts) - len(search.fits))):
         search = station_search.attempt(search, p.keeping.drift_sigma_m_s)
-    return s._replace(search=search)
+    return replace(s, search=search)
 
 
 def _adopt(s: Station, fit: Fit) -> Station:
@@ -310,14 +313,14 @@ def _adopt(s: Station, fit: Fit) -> Station:
     for c, (bx, by) in zip(s.search.candidates, fit.beacons, strict=True):
         b = beacons[c.number]
         block = station_fit.linearise(b.moments, fit.at.u, bx, by, c.distance)
-        beacons[c.number] = b._replace(bx=bx, by=by, block=block, located=True)
-    return s._replace(at=fit.at, beacons=tuple(beacons), search=station_search.NEW)
+        beacons[c.number] = replace(b, bx=bx, by=by, block=block, located=True)
+    return replace(s, at=fit.at, beacons=tuple(beacons), search=station_search.NEW)
 
 
 def _follow(p: Parameters, s: Station) -> Station:
     """Improve the fit; now and then look for a better one elsewhere; keep the map once it is good enough."""
     at = station_fit.solve([b.block for b in s.beacons], p.keeping.drift_sigma_m_s)
-    s = s._replace(at=at)
+    s = replace(s, at=at)
     if s.t < s.t_refit:
         return s
     s = _advance(p, s, 1, 1)
@@ -332,13 +335,13 @@ def _follow(p: Parameters, s: Station) -> Station:
     moves = best.cost < now.cost - 1.0
     taken = best if moves else now
     image = station_search.image(s.search, taken, p.keeping.drift_sigma_m_s)
-    s = _adopt(s, taken)._replace(t_refit=s.t + p.keeping.refit_s)
+    s = replace(_adopt(s, taken), t_refit=s.t + p.keeping.refit_s)
     known = _knowledge(s)
     sigma_m = math.hypot(known.sigma_d_m, known.sigma_theta_rad * max(known.d_m, 0.3))
     of = station_fit.shape(taken.beacons)
     if image.cost - taken.cost < AMBIGUOUS and of.across_m < IN_LINE * of.along_m:
         # on the way more is learnt of how they lie
-        return s._replace(problem=Problem.COLLINEAR) if known.d_m < CLOSE_M else s
+        return replace(s, problem=Problem.COLLINEAR) if known.d_m < CLOSE_M else s
     if (
         s.t < KEEP_AFTER_S
         or gap < station_search.UNLIKELY
@@ -355,8 +358,8 @@ def _follow(p: Parameters, s: Station) -> Station:
     beacons = []
     for b in s.beacons:
         bx, by = station_fit.place(b.block, a.u)
-        beacons.append(b._replace(bx=bx, by=by) if b.located else _UNSEEN)
-    return _keep(p, s._replace(mode=Mode.KEEP, pose=pose, beacons=tuple(beacons)))
+        beacons.append(replace(b, bx=bx, by=by) if b.located else _UNSEEN)
+    return _keep(p, replace(s, mode=Mode.KEEP, pose=pose, beacons=tuple(beacons)))
 
 
 def _keep(p: Parameters, s: Station) -> Station:
@@ -372,8 +375,8 @@ def _keep(p: Parameters, s: Station) -> Station:
         if not b.located and b.moments.one > 0.0:
             found = station_search.on_circle(b.moments, u.px, u.py, p.distances[i])
             if found is not None:
-                b = b._replace(located=True, bx=found[0], by=found[1], rejected=0.0)
-                s = s._replace(beacons=_with(s.beacons, i, b))
+                b = replace(b, located=True, bx=found[0], by=found[1], rejected=0.0)
+                s = replace(s, beacons=_with(s.beacons, i, b))
         if b.located:
             fresh = s.t - b.t < FRESH_S
             heard += fresh
@@ -381,7 +384,8 @@ def _keep(p: Parameters, s: Station) -> Station:
             distances.append(p.distances[i])
             weights.append(1.0 if fresh else 0.03)
     px, py = station_fit.closest(u.px, u.py, places, distances, weights)
-    return s._replace(
+    return replace(
+        s,
         at=s.at._replace(u=u._replace(px=px, py=py)),
         t_refit=s.t + 1.0,
         problem=Problem.NONE if heard >= 2 else Problem.TOO_FEW,
