@@ -6,11 +6,20 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from companion.bench.system.figures import Report, markdown
 from companion.config import schema
 
 README = Path(__file__).parents[2] / "README.md"
 BEGIN = "<!-- configuration table: written by `python -m tests.core.readme` -->\n"
 END = "<!-- end of configuration table -->\n"
+FIGURES = README.parent / "tests" / "data" / "bench-system.json"
+"""What `companion bench system --json` printed last."""
+FIGURES_BEGIN = (
+    "<!-- figures: written by `python -m tests.core.readme` from tests/data/bench-system.json -->\n"
+)
+FIGURES_END = "<!-- end of figures -->\n"
 
 
 def configuration_table() -> str:
@@ -55,11 +64,21 @@ def _allowed(field: dict[str, Any]) -> str:
 
 
 def with_table(text: str) -> str:
-    """The README's text with the table as it should be."""
-    before, rest = text.split(BEGIN)
-    _, after = rest.split(END)
-    return before + BEGIN + configuration_table() + END + after
+    """The README's text with the configuration's table as it should be."""
+    return _with(text, BEGIN, configuration_table(), END)
+
+
+def with_figures(text: str) -> str:
+    """The README's text with the figures of the benchmark as they were measured."""
+    report = msgspec.json.decode(FIGURES.read_bytes(), type=Report)
+    return _with(text, FIGURES_BEGIN, markdown(report), FIGURES_END)
+
+
+def _with(text: str, begin: str, part: str, end: str) -> str:
+    before, rest = text.split(begin)
+    _, after = rest.split(end)
+    return before + begin + part + end + after
 
 
 if __name__ == "__main__":
-    README.write_text(with_table(README.read_text(encoding="utf-8")), encoding="utf-8")
+    README.write_text(with_figures(with_table(README.read_text(encoding="utf-8"))), encoding="utf-8")

@@ -19,7 +19,7 @@ from companion.operator import OperatorResult
 from companion.settings import RangesSettings
 from companion.types import RangeSample
 from companion.wire_range import RangeMessage, decode
-from tests.core.readme import README, with_table
+from tests.core.readme import README, with_figures, with_table
 from tests.link.test_fly_process import free_port
 from tests.record.flights import flown, in_file
 
@@ -137,6 +137,10 @@ def test_the_publisher_in_c_writes_ranges() -> None:
 
 def test_the_configuration_table_is_the_codes() -> None:
     assert with_table(TEXT) == TEXT, "python -m tests.core.readme"
+
+
+def test_the_figures_are_those_that_were_measured() -> None:
+    assert with_figures(TEXT) == TEXT, "python -m tests.core.readme"
 
 
 def test_no_equation_is_lost() -> None:

@@ -1,7 +1,8 @@
 """The whole app measured beside the floor: the least that the same libraries can do.
 
 Machines differ, and so do their neighbours: ours and the floor run in turn within minutes, and what counts
-are ratios. Of several turns the quietest counts, for either side.
+are ratios. Of several turns the quietest counts, for either side. Both run with the precedence that
+config/companion.service gives to a flight (Nice=-10), where that is allowed.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Extent(NamedTuple):
     starts: int
 
 
-FULL = Extent(5, 20.0, 300.0, 30.0, 30.0, 60.0, 7, 20.0, 2000, 7)
+FULL = Extent(4, 15.0, 300.0, 30.0, 30.0, 60.0, 5, 20.0, 2000, 7)
 SHORT = Extent(3, 4.0, 10.0, 6.0, 3.0, 10.0, 4, 2.0, 0, 3)
 
 RATES_HZ = (20.0, 50.0)

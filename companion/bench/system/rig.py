@@ -25,6 +25,8 @@ from companion.link.zenoh_session import zenoh_config
 from companion.settings import RangesSettings
 from companion.wire_range import JSON, RangeMessage, encode, range_key
 
+NICE = -10
+"""As in config/companion.service."""
 _BEACON_HEIGHT_M, _HEIGHT_M = 1.5, 3.0
 _STEP_NS = 20_000_000
 _LAG_S = 0.5
@@ -111,6 +113,15 @@ class Rig:
         return puts, heard
 
 
+def precede(pid: int = 0) -> bool:
+    """Give a process (0: this one) the precedence that config/companion.service gives; False: not allowed."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, pid, NICE)
+    except PermissionError:
+        return False
+    return True
+
+
 def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -178,6 +189,7 @@ class _Session:
 
 
 def _autopilot(pipe: Connection, pose: Any, _beacons: Sequence[Beacon], _endpoint: str) -> None:
+    precede()  # it stands for another computer
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.bind(("127.0.0.1", 0))
     sock.setblocking(False)
@@ -232,6 +244,7 @@ def _telemetry(session: _Session, number: int) -> list[Any]:
 
 
 def _publisher(pipe: Connection, pose: Any, beacons: Sequence[Beacon], endpoint: str) -> None:
+    precede()  # as the autopilot, and before Zenoh starts its threads
     with zenoh.open(zenoh_config(RangesSettings(listen=(endpoint,)))) as session:
         pipe.send("listening")
         put = _putter(session, pose, beacons)

@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from companion.bench.system.rig import Beacon, Heard, Rig
+from companion.bench.system.rig import Beacon, Heard, Rig, precede
 
 ONE = (Beacon("b1", 14.0, 14.0),)
 THREE = (Beacon("b1", 12.0, 3.0), Beacon("b2", 4.0, 14.0), Beacon("b3", -3.0, 4.0))
@@ -143,6 +143,7 @@ def _running(rig: Rig, contender: Contender, beacons: tuple[Beacon, ...], scratc
     process = subprocess.Popen(
         contender.command(config, rig, scratch), stdin=subprocess.DEVNULL, stdout=theirs, stderr=theirs
     )
+    precede(process.pid)
     os.close(theirs)
     reader = threading.Thread(target=_drain, args=(ours,), daemon=True)
     reader.start()
