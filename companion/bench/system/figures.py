@@ -106,8 +106,10 @@ def markdown(report: Report) -> str:
     """For the README."""
     m = report.machine
     lines = [
-        f"Measured with Python {m.python} on {m.cores} cores, {m.system}, beside neighbours (load {m.load:.1f})"
-        f"{', short form' if report.short else ''}. All on: {ALL_ON}. Bold: the goal is missed.",
+        f"Measured with Python {m.python} on {m.cores} cores ({m.system}), load {m.load:.1f} before"
+        f"{', short form' if report.short else ''}.",
+        f"All on: {ALL_ON}.",
+        "Bold: the goal is missed.",
         "",
         "| | companion | floor | ratio | goal |",
         "|---|---|---|---|---|",
