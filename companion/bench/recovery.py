@@ -25,7 +25,6 @@ from companion.types import Verdict
 
 RATE_HZ = 20.0
 BEACONS = 5
-_BEFORE_S = 3.0
 
 
 class Fault(Enum):
@@ -91,8 +90,8 @@ def _apart(fault: Fault, seconds: float) -> Recovery:
     return msgspec.json.decode(done.stdout, type=Recovery)
 
 
-def measure(fault: Fault, seconds: float, after_s: float = 12.0) -> Recovery:
-    """One fault, with processes of its own; it has `after_s` to recover."""
+def measure(fault: Fault, seconds: float, before_s: float = 3.0, after_s: float = 12.0) -> Recovery:
+    """One fault, with processes of its own; all is well for `before_s`, and it has `after_s` to recover."""
     with ExitStack() as stack:
         port = free_port()
         settings = RangesSettings(SITE, connect=(f"tcp/127.0.0.1:{port}",))
@@ -107,11 +106,11 @@ def measure(fault: Fault, seconds: float, after_s: float = 12.0) -> Recovery:
         for process in (beacons, vehicle):
             process.answer(int)
         start_ns = time.monotonic_ns() + round(WARM_UP_S * 1e9)
-        all_s = _BEFORE_S + seconds + after_s
+        all_s = before_s + seconds + after_s
         window = Window(start_ns, start_ns + round(all_s * 1e9))
         for process in (beacons, vehicle):
             process.order(window)
-        time.sleep(WARM_UP_S + _BEFORE_S)
+        time.sleep(WARM_UP_S + before_s)
         fault_ns = time.monotonic_ns()
         if fault is Fault.ROUTER_KILLED:
             router[0].kill()

@@ -17,9 +17,8 @@ def quiet(_: str) -> None:
     pass
 
 
-@pytest.mark.parametrize("tls", [False, True])
-def test_every_vehicle_hears_its_own_beacons_and_the_costs_are_told(tls: bool) -> None:
-    load = Load(vehicles=2, beacons=4, rate_hz=20.0, each=3, seconds=0.5, tls=tls)
+def test_every_vehicle_hears_its_own_beacons_and_the_costs_are_told() -> None:
+    load = Load(vehicles=2, beacons=4, rate_hz=20.0, each=3, seconds=0.5, tls=True)
     f = bench_network(load, quiet)
     assert isinstance(f, Figures)
     assert f.wanted == 2 * 3 * 10
@@ -47,7 +46,7 @@ def test_an_end_that_dies_is_told_with_its_last_words() -> None:
 
 def test_the_backlog_of_a_frozen_router_is_refused_and_ranges_are_believed_again() -> None:
     """1.5 s of ranges arrive at once: with stamps and without, none older than told is believed."""
-    r = recovery.measure(Fault.ROUTER_FROZEN, 1.5, after_s=3.0)
+    r = recovery.measure(Fault.ROUTER_FROZEN, 1.5, before_s=1.0, after_s=2.0)
     assert r.back_s is not None
     assert r.late > 0
     assert r.oldest_s < 1.0
@@ -55,6 +54,6 @@ def test_the_backlog_of_a_frozen_router_is_refused_and_ranges_are_believed_again
 
 
 def test_a_router_that_was_killed_is_found_again() -> None:
-    r = recovery.measure(Fault.ROUTER_KILLED, 0.2, after_s=3.0)
+    r = recovery.measure(Fault.ROUTER_KILLED, 0.2, before_s=0.5, after_s=4.0)
     assert r.back_s is not None
     assert recovery.table([r]).count("\n") == 2
