@@ -84,6 +84,8 @@ def run(args: argparse.Namespace) -> Exit:
 
     if args.output is not None and args.output.exists():
         raise CalibrationError(f"{args.output} is there already: name another file, or remove it")
+    if args.png is not None and not args.png.parent.is_dir():
+        raise CalibrationError(f"{args.png}: no such directory")
     found = calibrate(_name(args.name or args.beacon), _groups(args), Fit(args.fit))
     toml = text(found, _command(args))
     print(toml, end="")
