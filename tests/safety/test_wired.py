@@ -18,7 +18,16 @@ from companion.exits import Exit
 from companion.link.mavlink import VehicleLink
 from companion.link.signing import Key, SignedMavlink, Timestamps, Unsigned
 from companion.settings import VehicleSettings
-from companion.types import Attitude, Defect, Event, FlightMode, Malformed, ModeReport, VehicleHeartbeat
+from companion.types import (
+    Attitude,
+    Defect,
+    Event,
+    FlightMode,
+    Malformed,
+    ModeReport,
+    PartyHeard,
+    VehicleHeartbeat,
+)
 from tests.safety.test_check import Stage, Wire, plain, stage
 from tests.sitl_mock.process import free_udp_port
 
@@ -59,6 +68,22 @@ def test_on_a_signed_link_modes_are_believed_from_signed_messages_only(
     believed = [type(e) for e in told if not isinstance(e, Malformed)]
     assert believed == ([Attitude] if unsigned is Unsigned.ACCEPT else [])
     ours.close()
+
+
+def test_on_a_signed_link_nobody_without_the_key_counts_as_another_commander(
+    tmp_path: Path, autopilot: SignedMavlink
+) -> None:
+    ours = SignedMavlink(KEY, Timestamps(tmp_path / "ours"), unsigned=Unsigned.ACCEPT)
+    wire = Wire()
+    link = VehicleLink(VehicleSettings(), wire, ours)
+    heard(link, wire, autopilot, HEARTBEAT)
+    twin = mavlink.MAVLink_heartbeat_message(18, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    assert not heard(link, wire, mavlink.MAVLink(None, 1, 191), twin)
+    with_the_key = SignedMavlink(KEY, Timestamps(tmp_path / "twin"), source_component=191)
+    told = heard(link, wire, with_the_key, twin)
+    assert [type(event) for event in told] == [PartyHeard]
+    ours.close()
+    with_the_key.close()
 
 
 def test_on_a_plain_link_nothing_needs_a_signature() -> None:
