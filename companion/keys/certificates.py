@@ -68,7 +68,7 @@ def authority(site: str, now: datetime, days: int) -> Identity:
     key = ec.generate_private_key(ec.SECP256R1())
     name = _name(f"site/{site}")
     certificate = (
-        _builder(name, name, key, now, days)
+        _builder(name, name, key, key, now, now + timedelta(days=days))
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_usage(signs=True), critical=True)
         .sign(key, hashes.SHA256())
@@ -84,21 +84,14 @@ def issue(
     It is not valid beyond the authority's own end.
     """
     key = ec.generate_private_key(ec.SECP256R1())
-    builder = _builder(_name(common_name(role, name)), ca.certificate.subject, key, now, days)
-    if now + timedelta(days=days) > ca.certificate.not_valid_after_utc:
-        builder = _builder(
-            _name(common_name(role, name)),
-            ca.certificate.subject,
-            key,
-            now,
-            ca.certificate.not_valid_after_utc,
-        )
+    subject = _name(common_name(role, name))
+    ends = min(now + timedelta(days=days), ca.certificate.not_valid_after_utc)
+    builder = _builder(subject, ca.certificate.subject, key, ca.key, now, ends)
     usages = [ExtendedKeyUsageOID.CLIENT_AUTH]
     if role is Role.ROUTER:  # a router connects to other routers, too
         usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
-        builder = builder.add_extension(
-            x509.SubjectAlternativeName([_address(a) for a in addresses]), critical=False
-        )
+        names = x509.SubjectAlternativeName([_address(a) for a in addresses])
+        builder = builder.add_extension(names, critical=False)
     certificate = (
         builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(signs=False), critical=True)
@@ -109,9 +102,14 @@ def issue(
 
 
 def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now: datetime, end: int | datetime
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    issuer_key: ec.EllipticCurvePrivateKey,
+    now: datetime,
+    ends: datetime,
 ) -> x509.CertificateBuilder:
-    ends = end if isinstance(end, datetime) else now + timedelta(days=end)
+    by = x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer_key.public_key())
     return (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -120,6 +118,8 @@ def _builder(
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _CLOCK_SKEW)
         .not_valid_after(ends)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .add_extension(by, critical=False)
     )
 
 

@@ -78,34 +78,25 @@ def add(
         check_address(address)
     ca = authority_of(directory)
     issued = certificates.issue(ca, role, name, now, days, addresses)
-    _write(
-        directory,
-        _folder(role, name),
-        {
-            AUTHORITY: ca.certificate_pem(),
-            CERTIFICATE: issued.certificate_pem(),
-            KEY: issued.key_pem(),
-        },
-    )
+    files = {
+        AUTHORITY: ca.certificate_pem(),
+        CERTIFICATE: issued.certificate_pem(),
+        KEY: issued.key_pem(),
+    }
+    _write(directory, _folder(role, name), files)
     return Member(role, name, issued.certificate.not_valid_after_utc, addresses)
 
 
 def renew(directory: Path, member: Member, now: datetime, days: int) -> Member:
     """A new key and certificate in the place of the old ones, for the same name; the old are deleted."""
+    authority_of(directory)  # raises before anything is moved
     place = directory / _folder(member.role, member.name)
-    aside = Path(tempfile.mkdtemp(prefix=".old-", dir=directory))
-    kept = place / ROUTER_FILE
-    place.rename(aside / "old")
-    try:
-        renewed = add(directory, member.role, member.name, now, days, member.addresses)
-        if (old := aside / "old" / kept.name).exists():
-            shutil.copy2(old, kept)
-    except BaseException:
-        if not place.exists():
-            (aside / "old").rename(place)
-        raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+    aside = Path(tempfile.mkdtemp(prefix=".old-", dir=directory)) / "old"
+    place.rename(aside)
+    renewed = add(directory, member.role, member.name, now, days, member.addresses)
+    for path in aside.glob(f"{ROUTER_FILE}*"):
+        path.rename(place / path.name)
+    shutil.rmtree(aside.parent)
     return renewed
 
 

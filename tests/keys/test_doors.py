@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import pytest
 import zenoh
 
@@ -296,6 +297,21 @@ def test_routers_of_a_site_hand_on_to_each_other_what_they_let_in(door: Door, op
 
         ear.hears(put, "uwb/v1/lab/b1/t1/range")
         assert set(ear.keys) == {"uwb/v1/lab/b1/t1/range"}
+
+
+def test_a_vehicle_that_names_two_routers_flies_with_one_of_them_dead(door: Door) -> None:
+    first = door.settings("vehicle-u1")
+    both = msgspec.structs.replace(first, connect=(f"tls/127.0.0.1:{free_port()}", *first.connect))
+    rung = threading.Event()
+    vehicle, publisher = RangeLink(both, rung.set, ["b1"]), PublishLink(door.settings("beacon-b1"))
+
+    def heard() -> bool:
+        publisher.put("b1", "t1", RangeMessage("s", 0, 4.25))
+        return rung.wait(0.02)
+
+    until(heard)
+    vehicle.close()
+    publisher.close()
 
 
 # ------------------------------------------------------------------------- our own look at the files

@@ -178,9 +178,11 @@ def test_a_directory_that_was_tampered_with_is_told(
     harm: Callable[[Path], None], words: str, place: Path, capsys: Say
 ) -> None:
     harm(place)
-    assert keys(place, "--beacon", "b3") == Exit.USAGE
-    assert words in capsys.readouterr().err
-    assert not (place / "beacon-b3").exists()
+    before = contents(place)
+    for wish in (("--beacon", "b3"), ("--renew", "beacon/b2")):
+        assert keys(place, *wish) == Exit.USAGE
+        assert words in capsys.readouterr().err
+        assert contents(place) == before
 
 
 def test_a_new_site_must_be_named_and_a_stranger_directory_is_left_alone(tmp_path: Path, capsys: Say) -> None:
