@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 import msgspec
+from msgspec.structs import replace
 
 from companion.settings import LossSettings, VehicleSettings
 from companion.types import AutopilotWords, BatteryReport, Charge, EstimatorReport, PartyHeard
@@ -26,7 +27,11 @@ class Health(msgspec.Struct, frozen=True, gc=False):
     charge: Charge = Charge.UNKNOWN
     """The worst so far: a battery that was low once is low until the autopilot restarts."""
     share: float | None = None
+    battery_low: bool = False
+    """The battery is to end the flight (`loss.battery_hand_over`)."""
     estimator: EstimatorReport | None = None
+    unfit_until_ns: int = 0
+    """Until then the estimate is known not to carry the setpoints."""
     commander: PartyHeard | None = None
     other_vehicle: PartyHeard | None = None
     words: AutopilotWords | None = None
@@ -40,14 +45,19 @@ def on_battery(h: Health, cfg: LossSettings, e: BatteryReport) -> Health:
     charge = max(h.charge, e.charge, key=_RANK.__getitem__)
     if e.share is not None and e.share < cfg.battery_share:
         charge = max(charge, Charge.LOW, key=_RANK.__getitem__)
-    return msgspec.structs.replace(h, charge=charge, share=h.share if e.share is None else e.share)
+    ends = charge is Charge.CRITICAL or (charge is Charge.LOW and cfg.battery_hand_over == "low")
+    return replace(
+        h,
+        charge=charge,
+        share=h.share if e.share is None else e.share,
+        battery_low=ends and cfg.battery_hand_over != "never",
+    )
 
 
-def battery_low(h: Health, cfg: LossSettings) -> bool:
-    """True where the battery is to end the flight (`loss.battery_hand_over`)."""
-    if cfg.battery_hand_over == "never":
-        return False
-    return h.charge is Charge.CRITICAL or (h.charge is Charge.LOW and cfg.battery_hand_over == "low")
+def on_estimator(h: Health, cfg: VehicleSettings, e: EstimatorReport) -> Health:
+    """ESTIMATOR_STATUS."""
+    until_ns = 0 if can_fly(cfg, e) else e.t_ns + _ESTIMATE_FRESH_NS
+    return replace(h, estimator=e, unfit_until_ns=until_ns)
 
 
 def battery_words(h: Health) -> str:

@@ -196,7 +196,7 @@ def _on_battery(p: Plan, s: State, e: BatteryReport) -> State:
 
 
 def _on_estimator(p: Plan, s: State, e: EstimatorReport) -> State:
-    return replace(s, health=replace(s.health, estimator=e))
+    return replace(s, health=health.on_estimator(s.health, p.settings.vehicle, e))
 
 
 def _on_party(p: Plan, s: State, e: PartyHeard) -> State:

@@ -12,9 +12,9 @@ from companion import echo, limits, phase, reasons
 from companion.beacons import configured
 from companion.guidance import schemes
 from companion.guidance.station_settings import BEACONS_NEEDED
-from companion.health import Health, battery_low, can_fly, fresh_estimator
+from companion.health import Health
 from companion.intake import predict, take_in
-from companion.phase import Condition, Facts, Ranges
+from companion.phase import Company, Condition, Facts, Ranges
 from companion.settings import Settings
 from companion.state import STANDSTILL, Flight, Observing, Plan, Ranging, State, Steering, age_s
 from companion.status import snapshot, who
@@ -202,6 +202,7 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     in_phase_s, sent = age_s(s.t_phase_ns, t_ns), s.steering.setpoint
     since_sent_s = age_s(None if sent is None else sent.t_ns, t_ns)
     held_up = s.phase in _streaming(p) and min(in_phase_s, since_sent_s) > cfg.held_up_after_s
+    h = s.health
     facts = Facts(
         stop_asked=s.flight.stop_asked,
         vehicle_gone=age_s(v.t_link_ns, t_ns) > cfg.vehicle_after_s,
@@ -220,10 +221,11 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         and (s.flight.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
         purpose=s.steering.command.purpose,
         held_up=held_up,
-        rebooted=s.health.t_reboot_ns is not None and s.health.t_reboot_ns > (s.t_phase_ns or 0),
-        company=who(p, s, t_ns),
-        battery_low=battery_low(s.health, cfg),
-        estimate_invalid=_estimate_invalid(p, s, t_ns),
+        rebooted=h.t_reboot_ns is not None and h.t_reboot_ns > (s.t_phase_ns or 0),
+        company=who(p, s, t_ns) if h.commander or h.other_vehicle else Company.NOBODY,
+        battery_low=h.battery_low,
+        # A height is needed to begin with; once engaged the one to hold is known.
+        estimate_invalid=t_ns < h.unfit_until_ns or (v.height_m is None and _needs_height(p, s)),
     )
     return _insisting(facts) if ardupilot and s.phase.is_engaged else facts
 
@@ -237,12 +239,8 @@ def _insisting(f: Facts) -> Facts:
     return replace(f, vehicle_gone=False, held_up=False, hand_over_overdue=False, budget_spent=spent)
 
 
-def _estimate_invalid(p: Plan, s: State, t_ns: int) -> bool:
-    e, cfg = fresh_estimator(s.health, t_ns), p.settings.vehicle
-    if e is not None and not can_fly(cfg, e):
-        return True
-    # A height is needed to begin with; once engaged the one to hold is known.
-    return cfg.setpoint_frame == "local_ned" and s.vehicle.height_m is None and not s.phase.is_engaged
+def _needs_height(p: Plan, s: State) -> bool:
+    return p.settings.vehicle.setpoint_frame == "local_ned" and not s.phase.is_engaged
 
 
 def _as_if_selected(s: State) -> Vehicle:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from companion import phase
 from companion.echo import is_foreign
 from companion.guidance.scheme import UNKNOWN_M
-from companion.health import WITHOUT, battery_low, battery_words, fresh_estimator, shortfalls
+from companion.health import WITHOUT, battery_words, fresh_estimator, shortfalls
 from companion.phase import Company
 from companion.state import Plan, State, age_s
 from companion.types import Charge, Estimate, Landed, Phase, Status
@@ -39,7 +39,7 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
 def _unfit(p: Plan, s: State, t_ns: int) -> Iterator[str]:
     """What the vehicle lacks for a flight, and who else is there, each with what to do."""
     cfg, h = p.settings, s.health
-    if battery_low(h, cfg.loss):
+    if h.battery_low:
         yield f"a charged battery ({battery_words(h)}; [loss] battery_hand_over, battery_share)"
     company = who(p, s, t_ns)
     if company is Company.COMMANDER and h.commander is not None:
