@@ -316,7 +316,8 @@ def _upkeep(p: Plan, s: State, t_ns: int, outputs: list[Output]) -> tuple[State,
     if f.t_heartbeat_ns is None or t_ns - f.t_heartbeat_ns >= _HEARTBEAT_NS:
         outputs.append(CompanionHeartbeat(t_ns=t_ns, system_status=_system_status(s.phase)))
         s = replace(s, flight=replace(f, t_heartbeat_ns=t_ns))
-    if s.phase in phase.ASKING and age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S:
+    asking = s.phase in phase.ASKING and age_s(f.t_request_ns, t_ns) >= _REQUEST_AGAIN_S
+    if asking and _may_ask(p, s, t_ns):
         mode = _HAND_OVER_MODE.get(s.flight.hand_over_to)
         insists = p.settings.vehicle.kind == "ardupilot"
         if insists and age_s(s.t_phase_ns, t_ns) > p.settings.loss.hand_over_patience_s:
@@ -329,6 +330,17 @@ def _upkeep(p: Plan, s: State, t_ns: int, outputs: list[Output]) -> tuple[State,
         s = replace(s, flight=replace(s.flight, t_status_ns=t_ns))
         outputs.append(snapshot(p, s, t_ns))
     return s, tuple(outputs)
+
+
+_MODE_KNOWN_S = 1.5
+_BACKLOG_S = 0.3
+"""When the loop wakes it reads what has waited; an ArduPilot's mode may be an old one until then."""
+
+
+def _may_ask(p: Plan, s: State, t_ns: int) -> bool:
+    """Only a vehicle heard just now to be in OFFBOARD: else a pilot may have taken over unheard."""
+    woken = p.settings.vehicle.kind == "ardupilot" and age_s(s.t_phase_ns, t_ns) < _BACKLOG_S
+    return age_s(s.vehicle.t_link_ns, t_ns) <= _MODE_KNOWN_S and not woken
 
 
 def _system_status(of: Phase) -> SystemStatus:

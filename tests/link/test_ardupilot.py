@@ -184,15 +184,37 @@ def test_held_up_it_hands_over() -> None:
     assert (change.after, change.reason) == (Phase.HAND_OVER, "this app did not run for a while")
 
 
-def test_a_vehicle_that_is_not_heard_is_handed_over_as_soon_as_it_hears() -> None:
+def test_woken_it_asks_for_no_mode_before_it_has_read_that_a_pilot_took_over() -> None:
+    script = Script()
+    before = flown_by_guided(script)
+    script.t_ms += 6000
+    t_ns = script.t_ms * MS
+    waited: list[Event] = [  # the first was told before the takeover, and both are read now
+        VehicleHeartbeat(t_ns, 1, OFFBOARD, True),
+        VehicleHeartbeat(t_ns + 1, 1, FlightMode.POSCTL, True),
+    ]
+    script.actual = FlightMode.POSCTL
+    after = fly([*waited, *script.run(3.0)], before=before)
+    assert after.state.phase is Phase.RELEASED
+    assert not after.of(ModeRequest)
+
+
+@pytest.mark.parametrize("mode", [OFFBOARD, FlightMode.POSCTL])
+def test_a_vehicle_that_is_not_heard_is_handed_over_once_it_is_heard_and_nobody_took_over(
+    mode: FlightMode,
+) -> None:
     script = Script()
     before = flown_by_guided(script)
     script.tells_heartbeat = False
-    gone = fly(script.run(5.0), before=before)
+    gone = fly(script.run(1.0), before=before)
+    gone = fly(script.run(5.0), before=gone)
     change = next(c for c in gone.outputs if isinstance(c, PhaseChange) and c.after is Phase.HAND_OVER)
     assert change.reason == "no heartbeat from the vehicle"
-    assert gone.of(ModeRequest)
     assert gone.state.phase is Phase.HAND_OVER
+    assert not gone.of(ModeRequest), "a pilot may fly it by now"
+    script.tells_heartbeat, script.actual = True, mode
+    heard = fly(script.run(2.0), before=gone)
+    assert bool(heard.of(ModeRequest)) is (mode is OFFBOARD)
 
 
 def test_after_a_takeover_it_stays_silent_until_a_restart_on_the_ground() -> None:

@@ -48,6 +48,8 @@ SHORT = [
     ("held-up-3s", Phase.HOLD),
     ("slow-loop", Phase.RELEASED),
     ("engage-blind", Phase.AWAIT),
+    ("uplink-loss", Phase.KEEP),
+    ("ardupilot-takeover", Phase.APPROACH),
 ]
 
 

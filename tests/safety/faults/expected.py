@@ -140,6 +140,23 @@ ENGAGED_ANEW = Rule(
     reach=((RELEASED, 0.1), (STANDBY, 1.7), (ACQUIRE, 2.2)),
     still=(0.1, 2.0),
 )
+RESTARTED = Rule("silent: taken for a restart", reach=((RELEASED, 0.15),), silent=(0.15, _INF))
+TAKEN_BY_HEARTBEAT = Rule("silent with the next heartbeat", reach=((RELEASED, 0.3),), silent=(0.3, _INF))
+HANDS_OVER_IN_TIME = Rule(
+    "stands still, hands over in time, silent",
+    reach=((HAND_OVER, _LOSS.hand_over_after_s), (RELEASED, _LOSS.hand_over_after_s + 0.5)),
+    still=(_LOSS.stall_after_s, _INF),
+    silent=(_LOSS.hand_over_after_s + 0.5, _INF),
+)
+INSISTS = Rule(
+    "stands still; hands over once the vehicle is heard in GUIDED",
+    reach=((HAND_OVER, _LOSS.vehicle_after_s + 0.05),),
+    still=(_LOSS.telemetry_after_s + _TICK_S, _INF),
+)
+NOTHING_ASKED = Rule(
+    "stands still, asks for no mode: the pilot is heard first",
+    still=(_LOSS.telemetry_after_s + _TICK_S, _INF),
+)
 DISARMED = Rule("ends with the next heartbeat", reach=((ENDED, 1.1),), silent=(1.1, _INF))
 REBOOTED = Rule("ends: disarmed", reach=((ENDED, 3.5),), still=(0.6, _INF), silent=(3.5, _INF))
 NO_HOLD = Rule(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from companion.run import run
-from companion.settings import BeaconSettings, LimitSettings, Settings
+from companion.settings import BeaconSettings, LimitSettings, MissionSettings, Settings
 from companion.types import (
     Event,
     ModeRequest,
@@ -46,7 +46,43 @@ SETTINGS = Settings(
     ),
 )
 """Of every flight: the defaults, with limits close to what is needed and budgets that lies can spend."""
+ARDUPILOT = replace(SETTINGS, vehicle=replace(SETTINGS.vehicle, kind="ardupilot"))
+"""The same with an ArduCopter, which tells no intended mode and stays in GUIDED when the setpoints end."""
 PARAMS: dict[str, int | float] = {"COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "COM_LOW_BAT_ACT": 2}
+
+
+_STATION = (
+    BeaconAt("b1", 12.0, 9.0),
+    BeaconAt("b2", 5.5, 12.0),
+    BeaconAt("b3", 4.0, 3.0),
+    BeaconAt("b4", 11.0, 2.0),
+)
+_STATION_DISTANCES_M = (5.0, 6.5, 5.0, 5.0)
+"""A station at (8, 6), and four beacons around it."""
+
+
+def settings_of(fault: Fault, struck_in: Phase) -> Settings:
+    """The fault's settings; a station is kept on a mission of its own."""
+    if struck_in is not Phase.KEEP:
+        return fault.settings
+    beacons = {
+        at.id: BeaconSettings(height_m=_BEACON_HEIGHT_M, station_distance_m=distance_m)
+        for at, distance_m in zip(_STATION, _STATION_DISTANCES_M, strict=True)
+    }
+    return replace(fault.settings, mission=MissionSettings(kind="station"), beacons=beacons)
+
+
+def scenario_of(struck_in: Phase) -> Scenario:
+    """Near the target for what happens there, else far from it."""
+    if struck_in is Phase.KEEP:
+        beacons = tuple(replace(at, height_m=_BEACON_HEIGHT_M) for at in _STATION)
+        return Scenario(beacons=beacons, start_x_m=6.0, start_y_m=4.5, limit_s=inf)
+    return Scenario(
+        beacons=(BeaconAt(height_m=_BEACON_HEIGHT_M),),
+        random_start=True,
+        start_distance_m=(2.5, 4.0) if struck_in is Phase.HOLD else (8.0, 14.0),
+        limit_s=inf,
+    )
 
 
 class Fault(NamedTuple):
@@ -166,6 +202,7 @@ _CHAINS: dict[Phase, tuple[_Link, ...]] = {
     Phase.ACQUIRE: (_Link(Phase.ACQUIRE, (0.1, 1.5), _strike),),
     Phase.APPROACH: (_Link(Phase.APPROACH, (0.5, 4.0), _strike),),
     Phase.HOLD: (_Link(Phase.HOLD, (0.1, 1.5), _strike),),
+    Phase.KEEP: (_Link(Phase.KEEP, (0.1, 3.0), _strike),),
     Phase.COAST: (_Link(Phase.APPROACH, (2.0, 4.0), _lose_ranges), _Link(Phase.COAST, (0.0, 0.5), _strike)),
     Phase.STALL: (_Link(Phase.APPROACH, (1.0, 3.0), _lose_ranges), _Link(Phase.STALL, (0.1, 2.0), _strike)),
     Phase.HAND_OVER: (
@@ -195,14 +232,8 @@ class Flight:
     def __init__(self, fault: Fault, struck_in: Phase, seed: int) -> None:
         self.fault, self.struck_in, self.seed = fault, struck_in, seed
         self.random = Random(f"{fault.name}/{struck_in.value}/{seed}")
-        near = struck_in is Phase.HOLD
-        scenario = Scenario(
-            beacons=(BeaconAt(height_m=_BEACON_HEIGHT_M),),
-            random_start=True,
-            start_distance_m=(2.5, 4.0) if near else (8.0, 14.0),
-            limit_s=inf,
-        )
-        self.world = World(scenario, seed, params=PARAMS)
+        self.settings = settings_of(fault, struck_in)
+        self.world = World(scenario_of(struck_in), seed, params=PARAMS, autopilot=self.settings.vehicle.kind)
         if struck_in in _NOBODY_ENGAGES:
             self.world.engaged_at_s = 0.0
         self.alive = True
@@ -215,7 +246,7 @@ class Flight:
         self.after_strike: list[tuple[float, Act]] = list(fault.acts)
         self.wall_step_ns = 0
         """How far the publisher's clock has been set."""
-        self.watch = Watch(fault.settings, self.world)
+        self.watch = Watch(self.settings, self.world)
         self.phase = Phase.AWAIT
         self._phase_since_s = 0.0
         self._chain = list(_CHAINS[struck_in])
@@ -229,7 +260,7 @@ class Flight:
         """The whole flight."""
         events = self.world.events()
         while not self._over:
-            run(self._feed(events), self.fault.settings, self._send, self.watch.record)
+            run(self._feed(events), self.settings, self._send, self.watch.record)
             if self.alive:
                 self.alive = self.phase is not Phase.ENDED  # it has ended by itself: the world goes on
             for _ in events:
@@ -334,6 +365,6 @@ class Flight:
             steps,
             judgement,
             self.watch.limits,
-            (*self.watch.broken, *self.watch.limits.exceeded(self.fault.settings)),
+            (*self.watch.broken, *self.watch.limits.exceeded(self.settings)),
             dead=not self.alive and self.phase is not Phase.ENDED,
         )

@@ -25,7 +25,7 @@ from tests.safety.faults.filters import (
     repeat_up,
     swap,
 )
-from tests.safety.faults.flight import Fault, kill, select, start, stop
+from tests.safety.faults.flight import ARDUPILOT, Fault, kill, select, start, stop
 from tests.safety.faults.rules import ACQUIRE, APPROACH, AWAIT, GROUPS, HOLD, STALL, STANDBY, Rule
 from tests.safety.faults.strikes import filtered, switched
 
@@ -34,6 +34,10 @@ _TAKEN = rules(engaged=must.TAKEN_THEN_READY, hand_over=must.ENDS, silent=must.S
 _BOUNDED = rules(engaged=must.BOUNDED)
 _HELD_UP = rules(engaged=must.HELD_UP, hand_over=must.HELD_UP)
 _GONE = rules(engaged=must.VEHICLE_LOST, standby=must.STANDBY_VEHICLE_LOST)
+
+
+def _ardupilot(rule: Rule) -> Mapping[Phase, Rule]:
+    return only(APPROACH, HOLD, STALL, rule=rule)
 
 
 def _blind(for_s: float) -> Mapping[Phase, Rule]:
@@ -70,7 +74,7 @@ _ALL = (
     Fault("range-absurd", "range", "NaN, infinite, negative and 1e9 m for 8 s",
         filtered(change(RANGES, do.absurd), 8.0), ranges_lost(8.0), 12.0),
     Fault("range-seq-stuck", "range", "sequence numbers 0, 1, 2, 0, … for 8 s",
-        filtered(change(RANGES, do.seq_stuck), 8.0), ranges_lost(8.0), 12.0),
+        filtered(change(RANGES, do.seq_stuck), 8.0), _BOUNDED, 12.0),
     Fault("range-random", "range", "every range lies: anything from 0 to 60 m",
         filtered(do.ranges_drawn(0.0, 60.0)), _BOUNDED, 30.0),
     Fault("range-constant", "range", "every range lies: always 12 m",
@@ -164,8 +168,11 @@ _ALL = (
         ((0.0, do.clock_set(-3600.0)),), rules()),
     Fault("publisher-clock-jitter", "clock", "the publisher's clock is set back 0.1 s, ten times",
         tuple((0.5 * k, do.clock_set(-0.1)) for k in range(10)), rules()),
+    Fault("autopilot-clock-step", "clock", "the autopilot's own clock is set back half a second",
+        filtered(change(_MOTION, do.boot_half_back)), rules()),
     Fault("autopilot-clock-back", "clock", "the autopilot's own clock runs from 0 to 1 s, again and again",
-        filtered(change(_MOTION, do.boot_back)), rules()),
+        filtered(change(_MOTION, do.boot_back)),
+        {**rules(engaged=must.RESTARTED, hand_over=must.RESTARTED), ACQUIRE: must.BOUNDED}),
 
     # the process
     Fault("killed", "process", "the app is killed and started anew 1 s later",
@@ -188,6 +195,28 @@ _ALL = (
     Fault("held-up-takeover", "process", "the loop does not run for 0.7 s, LOITER is selected meanwhile",
         (*filtered(bursts(ALL, 0.7, once=True)), (0.3, select(Mode.LOITER))),
         only(*GROUPS["engaged"], rule=must.HELD_UP_TAKEOVER)),
+
+    # an ArduCopter: GUIDED is told by HEARTBEAT alone, five times a second
+    Fault("ardupilot-takeover", "person", "ArduCopter: a pilot selects another mode",
+        ((0.0, select(Mode.POSCTL)),), _ardupilot(must.TAKEN_BY_HEARTBEAT), 6.0, ARDUPILOT),
+    Fault("ardupilot-range-loss", "range", "ArduCopter: no beacon is heard any more",
+        switched(MockFault.RANGE_LOSS), _ardupilot(must.HANDS_OVER_IN_TIME), 18.0, ARDUPILOT),
+    Fault("ardupilot-link-loss", "link", "ArduCopter: nothing in or out any more",
+        switched(MockFault.LINK_LOSS), _ardupilot(must.INSISTS), 6.0, ARDUPILOT),
+    Fault("ardupilot-disarm", "vehicle", "ArduCopter: the motors are killed",
+        switched(MockFault.DISARM), _ardupilot(must.DISARMED), 6.0, ARDUPILOT),
+    Fault("ardupilot-stop", "person", "ArduCopter: the app is asked to end (SIGTERM)",
+        ((0.0, stop),), _ardupilot(must.STOPS), 6.0, ARDUPILOT),
+    Fault("ardupilot-killed", "process", "ArduCopter: the app is killed and started anew 1 s later",
+        ((0.0, kill), (1.0, start)), _ardupilot(must.WATCHES), 6.0, ARDUPILOT),
+    Fault("ardupilot-held-up-3s", "process", "ArduCopter: the loop does not run for 3 s (SIGSTOP)",
+        filtered(bursts(ALL, 3.0, once=True)), _ardupilot(must.INSISTS), 8.0, ARDUPILOT),
+    Fault("ardupilot-held-up-takeover", "process", "ArduCopter: the same, and a pilot takes over meanwhile",
+        (*filtered(bursts(ALL, 3.0, once=True)), (1.0, select(Mode.POSCTL))),
+        _ardupilot(must.NOTHING_ASKED), 8.0, ARDUPILOT),
+    Fault("ardupilot-unheard-takeover", "link", "ArduCopter: nothing is heard of it, and a pilot takes over",
+        (*filtered(lose((*MAVLINK,), 1.0)), (1.0, select(Mode.POSCTL))),
+        _ardupilot(must.NOTHING_ASKED), 12.0, ARDUPILOT),
 
     # load
     Fault("slow-loop", "load", "the loop runs five times a second only",

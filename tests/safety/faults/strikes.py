@@ -108,3 +108,8 @@ def boot_back(event: Event, _: Random) -> Event:
     return (
         replace(event, boot_ms=event.boot_ms % 1000) if isinstance(event, Attitude | LocalMotion) else event
     )
+
+
+def boot_half_back(event: Event, _: Random) -> Event:
+    """The autopilot's clock is half a second behind what it was."""
+    return replace(event, boot_ms=event.boot_ms - 500) if isinstance(event, Attitude | LocalMotion) else event

@@ -132,7 +132,9 @@ class Watch:
     def _may_be_believed(self, e: RangeSample) -> bool:
         """New, of the target, and a length: what nobody may steer by is left out, not every outlier."""
         fresh = e.seq > self._seqs.get(e.session, -1)
-        if e.beacon != self._settings.mission.target or not 0.0 < e.range_m < 1e6 or not fresh:
+        mission = self._settings.mission
+        known = self._settings.beacons if mission.kind == "station" else (mission.target,)
+        if e.beacon not in known or not 0.0 < e.range_m < 1e6 or not fresh:
             return False
         self._seqs[e.session] = e.seq
         return True
@@ -144,6 +146,11 @@ class Watch:
         if isinstance(output, ModeRequest):
             if phase is not Phase.HAND_OVER or output.mode not in _HAND_OVER_TO:
                 self._breach(f"asked for {output.mode.value} in {phase.value}")
+            if (
+                self._actual is not FlightMode.OFFBOARD
+                or self._t_event_ns - self._t_vehicle_ns > _MODE_FRESH_NS
+            ):
+                self._breach("asked for a mode though a pilot may have taken over unheard")
         elif isinstance(output, Setpoint):
             self._bounds(output)
             self._grounds(output)
@@ -175,7 +182,8 @@ class Watch:
         cfg, t_ns = self._settings.loss, s.t_ns
         if t_ns != self._t_event_ns:
             self._breach("a setpoint that no event caused")
-        if t_ns - self._t_vehicle_ns > cfg.vehicle_after_s * 1e9:
+        insists = self._settings.vehicle.kind == "ardupilot"  # to which silence would mean nothing
+        if t_ns - self._t_vehicle_ns > cfg.vehicle_after_s * 1e9 and not (insists and s.speed_m_s == 0.0):
             self._breach("a setpoint to a vehicle that is gone")
         offboard = self._actual is FlightMode.OFFBOARD
         if self._was_steering and not offboard and self._intended in (FlightMode.OFFBOARD, None):
