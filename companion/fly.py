@@ -52,7 +52,7 @@ def fly(
             stack.callback(vehicle.close)
             ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
             stack.callback(ranges.close)
-            network = NetworkWatch(ranges, view.tell)
+            network = NetworkWatch(ranges, bool(settings.ranges.tls), view.tell)
             status = StatusLink(settings, lambda: ranges.session, view.tell)
             stack.callback(status.close)
             for number in (signal.SIGINT, signal.SIGTERM):
@@ -93,8 +93,8 @@ def fly(
 class NetworkWatch:
     """Says while something is awaited whether anybody is connected: Zenoh itself keeps trying in silence."""
 
-    def __init__(self, ranges: RangeLink, tell: Callable[[str], None]) -> None:
-        self._ranges, self._tell = ranges, tell
+    def __init__(self, ranges: RangeLink, is_guarded: bool, tell: Callable[[str], None]) -> None:
+        self._ranges, self._is_guarded, self._tell = ranges, is_guarded, tell
         self._told: str | None = None
         self._looks = 0
 
@@ -106,6 +106,8 @@ class NetworkWatch:
         if self._looks == 1:
             return  # it has only just begun
         found = "Zenoh: connected, and no range yet"
+        if self._is_guarded:
+            found += ": are the beacons on, and do the router's rules name their certificates and this one?"
         if not self._ranges.connected():
             found = f"Zenoh: connected to nobody; it keeps trying. {self._ranges.reason}".strip()
         if found != self._told:
