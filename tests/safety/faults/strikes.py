@@ -54,6 +54,8 @@ def engage(flight: Flight) -> None:
 
 
 def ranges_with(**changes: object) -> Maker:
+    """Every range arrives with these fields changed."""
+
     def how(event: Event, _: Random) -> Event:
         return replace(event, **changes)
 
@@ -61,6 +63,8 @@ def ranges_with(**changes: object) -> Maker:
 
 
 def ranges_drawn(least_m: float, most_m: float) -> Maker:
+    """Every range arrives with a length drawn between these two."""
+
     def how(event: Event, random: Random) -> Event:
         return replace(event, range_m=random.uniform(least_m, most_m))
 
@@ -68,32 +72,38 @@ def ranges_drawn(least_m: float, most_m: float) -> Maker:
 
 
 def absurd(event: Event, random: Random) -> Event:
+    """A length that cannot be."""
     return replace(event, range_m=random.choice((math.nan, math.inf, -math.inf, -1.0, 0.0, 1e9)))
 
 
 def seq_stuck(event: Event, _: Random) -> Event:
+    """Sequence numbers 0, 1, 2, 0, …"""
     return replace(event, seq=event.seq % 3) if isinstance(event, RangeSample) else event
 
 
 def turned(event: Event, _: Random) -> Event:
+    """The heading, turned by a radian."""
     if not isinstance(event, Attitude):
         return event
     return replace(event, heading_rad=math.remainder(event.heading_rad + 1.0, 2.0 * math.pi))
 
 
 def moved(event: Event, _: Random) -> Event:
+    """The position, 6 m off."""
     if not isinstance(event, LocalMotion) or event.x_m is None or event.y_m is None:
         return event
     return replace(event, x_m=event.x_m + 5.0, y_m=event.y_m - 3.0)
 
 
 def raised(event: Event, _: Random) -> Event:
+    """The height, 20 m too large."""
     if not isinstance(event, LocalMotion) or event.height_m is None:
         return event
     return replace(event, height_m=event.height_m + 20.0)
 
 
 def not_finite(event: Event, random: Random) -> Event:
+    """A heading, or a velocity and a height, that are not finite."""
     bad = random.choice((math.nan, math.inf))
     if isinstance(event, Attitude):
         return replace(event, heading_rad=bad)
@@ -101,10 +111,12 @@ def not_finite(event: Event, random: Random) -> Event:
 
 
 def fast(event: Event, _: Random) -> Event:
+    """The velocity, 3 m/s too large to the East."""
     return replace(event, vx_m_s=event.vx_m_s + 3.0) if isinstance(event, LocalMotion) else event
 
 
 def boot_back(event: Event, _: Random) -> Event:
+    """The autopilot's clock, which begins anew every second."""
     return (
         replace(event, boot_ms=event.boot_ms % 1000) if isinstance(event, Attitude | LocalMotion) else event
     )
