@@ -140,7 +140,8 @@ def _parser() -> argparse.ArgumentParser:
         "sim",
         commands.sim,
         "simulate many flights of the same pilot, faster than real time",
-        "companion sim --config config/capture.toml --runs 200 --seed 1",
+        "companion sim --config config/capture.toml --runs 200 --seed 1\n"
+        "  companion sim --config config/station.toml --runs 20",
     )
     _config_options(sim)
     sim.add_argument("--runs", metavar="N", type=_at_least_one, default=20, help="number of flights")
