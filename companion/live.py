@@ -67,7 +67,7 @@ def live(vehicle: VehicleLink, ranges: RangeLink, bell: Bell) -> Iterator[Event]
         ready = dict(waiting.poll(max(0, wait_ms)))
         if bell.fileno() in ready:
             bell.silence()
-        yield from ranges.receive()
+            yield from ranges.receive()
         if vehicle.fileno() in ready:
             yield from vehicle.receive()
         now_ns = time.monotonic_ns()
