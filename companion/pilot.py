@@ -200,8 +200,11 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     else:
         ranges = Ranges.STALE if range_age_s <= cfg.hand_over_after_s else Ranges.LOST
     in_phase_s, sent = age_s(s.t_phase_ns, t_ns), s.steering.setpoint
-    since_sent_s = age_s(None if sent is None else sent.t_ns, t_ns)
-    held_up = s.phase in _streaming(p) and min(in_phase_s, since_sent_s) > cfg.held_up_after_s
+    held_up = (
+        in_phase_s > cfg.held_up_after_s
+        and s.phase in _streaming(p)
+        and age_s(None if sent is None else sent.t_ns, t_ns) > cfg.held_up_after_s
+    )
     h = s.health
     facts = Facts(
         stop_asked=s.flight.stop_asked,
@@ -260,8 +263,9 @@ def _is_due(p: Plan, s: State, event: Event) -> bool:
     cfg, sent = p.settings.stream, s.steering.setpoint
     t_ns = event.t_ns
     fresh = type(event) is RangeSample and s.ranging.t_ns == t_ns
-    overdue = sent is None or t_ns - sent.t_ns >= 1e9 / cfg.min_rate_hz
-    return (fresh or overdue) and t_ns >= s.steering.t_allowed_ns - 1e9 / cfg.max_rate_hz
+    if not fresh and sent is not None and t_ns - sent.t_ns < 1e9 / cfg.min_rate_hz:
+        return False
+    return t_ns >= s.steering.t_allowed_ns - 1e9 / cfg.max_rate_hz
 
 
 def _command(p: Plan, s: State, t_ns: int) -> State:
