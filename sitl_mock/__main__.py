@@ -20,8 +20,9 @@ from sitl_mock.params import Params
 from sitl_mock.scenario import KEY_PART, BeaconAt, Scenario, TelemetryKind
 
 _DESCRIPTION = """\
-A stand-in for a PX4 (or ArduCopter) quadrotor and its UWB beacons: MAVLink 2 over UDP on an onboard and a ground
-station's link, ranges over Zenoh under uwb/v1/{site}/{beacon}/{tag}/range. It starts on the ground, disarmed."""
+A stand-in for a PX4 (or ArduCopter) quadrotor and its UWB beacons: MAVLink 2 over UDP on an onboard and a
+ground station's link, ranges over Zenoh under uwb/v1/{site}/{beacon}/{tag}/range. It starts on the ground,
+disarmed."""
 
 _EPILOG = f"""\
 examples:
