@@ -112,3 +112,14 @@ def test_the_flying_process_loads_none_of_the_desks_tools() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_help_loads_no_library() -> None:
+    libraries = "msgspec zenoh pymavlink rich mcap serial"
+    code = (
+        "import sys, companion.cli\n"
+        "companion.cli._parser().format_help()\n"
+        f"print(sorted(m for m in {libraries.split()!r} if m in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
