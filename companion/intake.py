@@ -260,15 +260,16 @@ def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Obs
     cfg = p.settings.vehicle
     sent = None if p.settings.mission.shadow else s.steering.setpoint
     commanded = BodyMotion() if sent is None else BodyMotion(sent.speed_m_s, 0.0, sent.yaw_rate_rad_s)
-    motion = veh.body_motion(
-        s.vehicle, o.motion, commanded, t_ns, dt_s, cfg.velocity_lag_s, cfg.yaw_rate_lag_s
-    )
-    turn_rad = motion.yaw_rate_rad_s * dt_s
+    v, lags = s.vehicle, (cfg.velocity_lag_s, cfg.yaw_rate_lag_s)
+    motion = meanwhile = veh.body_motion(v, o.motion, commanded, t_ns, dt_s, *lags)
+    if not veh.is_measured(v, t_ns):  # where it is modelled, the motion in the middle is nearest to the mean
+        meanwhile = veh.body_motion(v, o.motion, commanded, t_ns, 0.5 * dt_s, *lags)
+    turn_rad = meanwhile.yaw_rate_rad_s * dt_s
     if turned_to is not None:
         measured_rad = math.remainder(turned_to - o.heading_rad, 2.0 * math.pi)
         if abs(measured_rad - turn_rad) < _HEADING_RESET_RAD:
             turn_rad = measured_rad
-    forward_m_s, left_m_s, place = motion.forward_m_s, motion.left_m_s, o.place
+    forward_m_s, left_m_s, place = meanwhile.forward_m_s, meanwhile.left_m_s, o.place
     if place is not None:
         middle = o.heading_rad + 0.5 * turn_rad
         c, sn = math.cos(middle), math.sin(middle)
@@ -279,5 +280,5 @@ def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Obs
         forward_m_s += (o.lag_x_m * c + o.lag_y_m * sn) / dt_s
         left_m_s += (o.lag_y_m * c - o.lag_x_m * sn) / dt_s
     guidance = p.scheme.predict(p.scheme.p, o.guidance, dt_s, forward_m_s, left_m_s, turn_rad / dt_s)
-    flown_m = math.hypot(motion.forward_m_s, motion.left_m_s) * dt_s if s.phase.is_engaged else 0.0
+    flown_m = math.hypot(meanwhile.forward_m_s, meanwhile.left_m_s) * dt_s if s.phase.is_engaged else 0.0
     return Observing(guidance, t_ns, motion, o.heading_rad + turn_rad, o.path_m + flown_m, place)

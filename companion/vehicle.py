@@ -91,6 +91,16 @@ def speed_m_s(v: Vehicle, t_ns: int) -> float | None:
     return math.hypot(v.forward_m_s, v.left_m_s)
 
 
+def is_measured(v: Vehicle, t_ns: int) -> bool:
+    """Whether telemetry tells both the velocity and the yaw rate of now."""
+    return (
+        v.t_attitude_ns is not None
+        and t_ns - v.t_attitude_ns < _MOTION_FRESH_NS
+        and v.t_motion_ns is not None
+        and t_ns - v.t_motion_ns < _MOTION_FRESH_NS
+    )
+
+
 def body_motion(
     v: Vehicle,
     before: BodyMotion,

@@ -55,6 +55,7 @@ def _as_recorded(kind: TelemetryKind) -> Plant:
     errors = QUALITY[kind]
     return PX4_LIKE._replace(
         height_m=5.0,
+        position_error=errors.position,
         velocity_error=errors.velocity,
         heading_error=errors.heading,
         height_wander=errors.height,

@@ -82,7 +82,9 @@ CONTENDERS: dict[str, Contender] = {
     contender.name: contender
     for contender in (
         Contender(
-            "companion", "as configured; the default", lambda g, plant: Flyer(capture(g, told_lag_s(plant)))
+            "companion",
+            "as configured; the default",
+            lambda g, plant: Flyer(capture(g, told_lag_s(plant), plant.velocity_lag_s)),
         ),
         Contender("kalman-lq-paper", "Kalman filter on the lift, the paper's LQ law", _kalman_lq_paper),
         Contender("paper", f"Luenberger observer (λ = {PAPER_POLE_RAD_S}), the paper's LQ law", _paper),

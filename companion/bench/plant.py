@@ -48,7 +48,7 @@ class Plant(NamedTuple):
 
     Telemetry: with `reports` the scheme is told the motion that the autopilot measures, at 30 Hz and in the
     way of `companion.pilot`, else the one modelled from the commands with the right lags. The autopilot
-    regulates its own estimate, so its errors (estimate − truth: each horizontal velocity, heading, height)
+    regulates its own estimate, so its errors (estimate − truth: position, velocity, heading, height)
     show in the truth.
 
     The vehicle is `height_m` above the beacon and believes itself `height_error_m` higher, with the sigma
@@ -72,6 +72,7 @@ class Plant(NamedTuple):
     gyro_bias_rad_s: float = 0.0
     drift_m_s: float = 0.0
     reports: bool = False
+    position_error: Spread = NO_ERROR
     velocity_error: Spread = NO_ERROR
     heading_error: Spread = NO_ERROR
     height_wander: Spread = NO_ERROR
@@ -166,10 +167,12 @@ def wander_step(w: Wander, spread: Spread, dt_s: float) -> Wander:
 
 
 class Errors(NamedTuple):
-    """Estimate − truth of the autopilot: velocity along x and y, heading, height."""
+    """Estimate − truth of the autopilot: position and velocity along x and y, heading, height."""
 
     x: Wander
     y: Wander
+    vx: Wander
+    vy: Wander
     heading: Wander
     height: Wander
 
@@ -177,6 +180,8 @@ class Errors(NamedTuple):
 def errors_start(plant: Plant) -> Errors:
     """At the start of a flight."""
     return Errors(
+        wander_start(plant.position_error),
+        wander_start(plant.position_error),
         wander_start(plant.velocity_error),
         wander_start(plant.velocity_error),
         wander_start(plant.heading_error),
@@ -187,8 +192,10 @@ def errors_start(plant: Plant) -> Errors:
 def errors_step(e: Errors, plant: Plant, dt_s: float) -> Errors:
     """dt_s later."""
     return Errors(
-        wander_step(e.x, plant.velocity_error, dt_s),
-        wander_step(e.y, plant.velocity_error, dt_s),
+        wander_step(e.x, plant.position_error, dt_s),
+        wander_step(e.y, plant.position_error, dt_s),
+        wander_step(e.vx, plant.velocity_error, dt_s),
+        wander_step(e.vy, plant.velocity_error, dt_s),
         wander_step(e.heading, plant.heading_error, dt_s),
         wander_step(e.height, plant.height_wander, dt_s),
     )
@@ -338,6 +345,7 @@ def fly(
     dead_steps = round(plant.yaw_rate_dead_s / STEP_S)
     forward = left = yaw_rate = since_s = 0.0
     turned_to = errors.heading.value
+    told_x, told_y = errors.x.value, errors.y.value
     v = omega = 0.0
     path_m = turned_rad = effort = rested_s = 0.0
     time_s = rest_m = math.inf
@@ -348,21 +356,45 @@ def fly(
             if k > 0:
                 errors = errors_step(errors, plant, TELEMETRY_STEPS * STEP_S)
             seen = b.heading + errors.heading.value
-            # the app turns by the measured headings, and moves as the last message said
+            seen_x, seen_y = b.x + errors.x.value, b.y + errors.y.value
+            # as in the app, the turn is that of the measured headings, the move that of the measured
+            # positions, and in between both go on as the last message said
             if t_s > since_s:
-                s = predict(p, s, t_s - since_s, forward, left, (seen - turned_to) / (t_s - since_s))
-            since_s, turned_to = t_s, seen
+                dt_s = t_s - since_s
+                c, sn = math.cos(0.5 * (seen + turned_to)), math.sin(0.5 * (seen + turned_to))
+                dx, dy = seen_x - told_x, seen_y - told_y
+                s = predict(
+                    p,
+                    s,
+                    dt_s,
+                    (dx * c + dy * sn) / dt_s,
+                    (dy * c - dx * sn) / dt_s,
+                    (seen - turned_to) / dt_s,
+                )
+            since_s, turned_to, told_x, told_y = t_s, seen, seen_x, seen_y
             forward = b.vx * math.cos(seen) + b.vy * math.sin(seen)
             left = b.vy * math.cos(seen) - b.vx * math.sin(seen)
             yaw_rate = b.omega + plant.yaw_rate_noise_rad_s * np.random.normal(0.0, 1.0)
         if k % RANGE_STEPS == 0:
             if not plant.reports:
                 dt_s = t_s - since_s
+                forward_before, yaw_rate_before = forward, yaw_rate
                 forward = lagged(forward, v, dt_s, plant.velocity_lag_s)
                 yaw_rate = lagged(yaw_rate, omega, dt_s, plant.yaw_rate_lag_s)
-            if t_s > since_s:
-                s = predict(p, s, t_s - since_s, forward, left, yaw_rate)
-                turned_to += yaw_rate * (t_s - since_s)
+                if t_s > since_s:
+                    s = predict(
+                        p, s, dt_s, 0.5 * (forward_before + forward), left, 0.5 * (yaw_rate_before + yaw_rate)
+                    )
+            elif t_s > since_s:
+                dt_s = t_s - since_s
+                s = predict(p, s, dt_s, forward, left, yaw_rate)
+                c, sn = (
+                    math.cos(turned_to + 0.5 * yaw_rate * dt_s),
+                    math.sin(turned_to + 0.5 * yaw_rate * dt_s),
+                )
+                told_x += (forward * c - left * sn) * dt_s
+                told_y += (forward * sn + left * c) * dt_s
+                turned_to += yaw_rate * dt_s
             since_s = t_s
             silent = (t_s + silent_from) % plant.outage_every_s < plant.outage_s
             r = heard(plant, math.hypot(d, plant.height_m - errors.height.value), silent)
@@ -394,8 +426,8 @@ def fly(
         acts = dead[(k - dead_steps) % LONGEST_DEAD_STEPS] if k >= dead_steps else 0.0
         omega_before = b.omega
         b = moved(b, plant, v, acts, bias, errors.heading.value)
-        air_x = plant.speed_scale * b.vx - errors.x.value
-        air_y = plant.speed_scale * b.vy - errors.y.value
+        air_x = plant.speed_scale * b.vx - errors.vx.value
+        air_y = plant.speed_scale * b.vy - errors.vy.value
         gx, gy = air_x + drift_x, air_y + drift_y
         b = Body(b.x + gx * STEP_S, b.y + gy * STEP_S, b.heading, b.omega, b.speed, b.vx, b.vy)
         d_before = d

@@ -11,8 +11,9 @@ from companion.guidance.drift import TINY, DriftLift
 
 AZIMUTHS = 24
 """The bearing's posterior is summed over this many azimuths."""
-_COS = tuple(math.cos(2.0 * math.pi * (i + 0.5) / AZIMUTHS) for i in range(AZIMUTHS))
-_SIN = tuple(math.sin(2.0 * math.pi * (i + 0.5) / AZIMUTHS) for i in range(AZIMUTHS))
+AZIMUTH_RAD = tuple(2.0 * math.pi * (i + 0.5) / AZIMUTHS for i in range(AZIMUTHS))
+COS = tuple(math.cos(azimuth) for azimuth in AZIMUTH_RAD)
+SIN = tuple(math.sin(azimuth) for azimuth in AZIMUTH_RAD)
 _STEPS = 4
 _DONE_M2 = 1e-6
 """Gauss-Newton ends after so many steps, or after one shorter than a millimetre."""
@@ -110,17 +111,17 @@ def fix(f: DriftLift, i: Information, x: float, y: float) -> Fix:
     )
 
 
-def circle(f: DriftLift, i: Information, d_m: float) -> Circle:
-    """The posterior of the bearing: at every azimuth the best distance near d_m, and its likelihood."""
+def posterior(f: DriftLift, i: Information, d_m: float) -> list[float]:
+    """The probability of every azimuth, by the best distance near d_m there."""
     i11, i12, i13, i22, i23, i33 = i
     e1 = 0.5 * d_m * d_m - f.x1
     a1 = i11 * e1 - i12 * f.x - i13 * f.y
     a2 = i12 * e1 - i22 * f.x - i23 * f.y
     a3 = i13 * e1 - i23 * f.x - i33 * f.y
     top = -1e300
-    total = sum_cos = sum_sin = 0.0
+    weights = [0.0] * AZIMUTHS
     for k in range(AZIMUTHS):
-        c, s = _COS[k], _SIN[k]
+        c, s = COS[k], SIN[k]
         e2 = d_m * c - f.x
         e3 = d_m * s - f.y
         # information at the point of the circle, then the radial direction taken out of it
@@ -133,19 +134,24 @@ def circle(f: DriftLift, i: Information, d_m: float) -> Circle:
         radial = d_m * h1 + c * h2 + s * h3
         stiff = d_m * d_m * i11 + 2.0 * d_m * ac + c * g2 + s * g3
         likelihood = -0.5 * (e1 * h1 + e2 * h2 + e3 * h3 - radial * radial / max(stiff, 1e-30))
-        if likelihood > top:
-            scale = math.exp(max(top - likelihood, -700.0))
-            total *= scale
-            sum_cos *= scale
-            sum_sin *= scale
-            top = likelihood
-            weight = 1.0
-        else:
-            weight = math.exp(max(likelihood - top, -700.0))
-        total += weight
-        sum_cos += weight * c
-        sum_sin += weight * s
+        weights[k] = likelihood
+        top = max(top, likelihood)
+    total = 0.0
+    for k in range(AZIMUTHS):
+        weights[k] = math.exp(max(weights[k] - top, -700.0))
+        total += weights[k]
+    for k in range(AZIMUTHS):
+        weights[k] /= total
+    return weights
+
+
+def mean_direction(weights: list[float]) -> Circle:
+    """What the azimuths, with their probabilities, agree on."""
+    sum_cos = sum_sin = 0.0
+    for k in range(AZIMUTHS):
+        sum_cos += weights[k] * COS[k]
+        sum_sin += weights[k] * SIN[k]
     length = math.hypot(sum_cos, sum_sin)
-    if length < TINY * total:
+    if length < TINY:
         return Circle(1.0, 0.0, 0.0)
-    return Circle(sum_cos / length, sum_sin / length, min(length / total, 1.0))
+    return Circle(sum_cos / length, sum_sin / length, min(length, 1.0))

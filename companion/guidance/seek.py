@@ -38,6 +38,8 @@ AGREED = 0.9
 """The search ends where the resultant of the bearing's posterior is above this."""
 TURN_ON = 0.88
 """Below this resultant the vehicle turns at the largest yaw rate."""
+LOOK_AHEAD_S = 1.0
+"""To which side: as if the bearing were known after this time."""
 SEARCH_S = 6.0
 """The search ends after this time in any case; the read-out goes on correcting itself."""
 RECEDES_M = 1.5
@@ -307,9 +309,8 @@ def knowledge(p: SeekParameters, s: Seeking) -> Knowledge:
 def command(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) -> tuple[Seeking, Command]:
     """Read the lift out, and steer by what it says."""
     if s.mode == GATHER:
-        if s.heard.seen == 0 or s.manner.rests:
-            return s, Command(0.0, 0.0, PROBE)
-        return s, Command(p.v, s.manner.turn * p.omega_max, PROBE)
+        # a path begun with a well-known distance tells its bearing sooner
+        return s, Command(0.0, 0.0, PROBE)
     s = caught_up(p, s)
     h = s.heard
     offset = h.range_m * p.offset
@@ -327,15 +328,18 @@ def command(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) -
 def search(
     p: SeekParameters, s: Seeking, i: readout.Information, yaw_rate_rad_s: float
 ) -> tuple[Seeking, Command]:
-    """Turn towards the mean direction, and at the largest yaw rate while the directions disagree."""
+    """Turn to the side of the shorter path while the directions disagree, then to their mean."""
     f, m = s.lift, s.motion
     d = max(drift.distance(f), NEAR_RANGE_M)
-    open_ = readout.circle(f, i, d)
+    weights = readout.posterior(f, i, d)
+    open_ = readout.mean_direction(weights)
     hx, hy = math.cos(m.heading), math.sin(m.heading)
     theta = math.atan2(hy * open_.cos - hx * open_.sin, hx * open_.cos + hy * open_.sin)
     omega = yaw_rate(p, s.manner.turn, d, theta, 0.0, yaw_rate_rad_s)
-    if s.since_s < p.search_turn_s + p.lag or (open_.resultant < TURN_ON and abs(omega) < p.omega_max):
+    if s.since_s < p.search_turn_s + p.lag:
         omega = s.manner.turn * p.omega_max
+    elif open_.resultant < TURN_ON:
+        omega = p.omega_max * shorter_side(p, weights, m.heading, s.manner.turn, yaw_rate_rad_s)
     q = Fix(d * open_.cos, d * open_.sin, 0.0, 0.0, 0.0, 0.0, 0.0)
     mode, lift = SEARCH, f
     if open_.resultant > AGREED or s.since_s > SEARCH_S:
@@ -346,6 +350,35 @@ def search(
     agreed = max(open_.resultant, drift.TINY)
     s = Seeking(s.accepted, s.noise, mode, s.since_s, agreed, UNKNOWN_M, m, s.heard, lift, q, manner)
     return s, Command(p.v, omega, PROBE)
+
+
+def shorter_side(
+    p: SeekParameters, weights: list[float], heading_rad: float, turn: float, yaw_rate_rad_s: float
+) -> float:
+    """The side to turn to while the bearing is open: the shorter path on the mean, were the bearing known
+    LOOK_AHEAD_S from now.
+
+    Far from the target, a path is longer than the way that it gains towards it by ∫ v (1 − cos θ) dt: so
+    much for turning to one side or the other until then, and R (|θ| − sin |θ|), with R = v/ω̄, for the
+    shorter turn from there.
+    """
+    lag_s = p.lag * (1.0 - math.exp(-LOOK_AHEAD_S / p.lag)) if p.lag > 0.0 else 0.0
+    coast_rad = yaw_rate_rad_s * lag_s
+    turn_rad = turn * p.omega_max * (LOOK_AHEAD_S - lag_s)
+    on_rad, back_rad = coast_rad + turn_rad, coast_rad - turn_rad
+    difference = 0.0
+    for k in range(readout.AZIMUTHS):
+        left_rad = readout.AZIMUTH_RAD[k] - heading_rad
+        difference += weights[k] * (excess_m(p, left_rad, on_rad) - excess_m(p, left_rad, back_rad))
+    return turn if difference <= 0.0 else -turn
+
+
+def excess_m(p: SeekParameters, left_rad: float, turned_rad: float) -> float:
+    """How much longer the path becomes by a turn of LOOK_AHEAD_S, the target `left_rad` to the left."""
+    after = abs(model.wrap(left_rad - turned_rad))
+    # the mean of a cosine over an arc, to the second order
+    ahead = math.cos(left_rad - 0.5 * turned_rad) * (1.0 - turned_rad * turned_rad / 24.0)
+    return p.v * LOOK_AHEAD_S * (1.0 - ahead) + p.v / p.omega_max * (after - math.sin(after))
 
 
 def follow(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) -> tuple[Seeking, Command]:

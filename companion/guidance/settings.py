@@ -119,7 +119,7 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 "lag of the yaw rate comes on top."
             ),
         ),
-    ] = 0.5
+    ] = 0.75
     drift_m_s: Annotated[
         float,
         Meta(
@@ -141,7 +141,7 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 "that is reckoned with until the ranges contradict it."
             ),
         ),
-    ] = 0.1
+    ] = 0.3
     drift_change_m_s: Annotated[
         float, Meta(ge=0.0, le=5.0, description="`drift`: one-sigma of its slow changes.")
     ] = 0.03
