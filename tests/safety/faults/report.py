@@ -156,7 +156,7 @@ def show(table: list[Row], words: str, console: Console) -> None:
     if wide:
         shown.add_column("most in OFFBOARD", ratio=3)
     shown.add_column("rule", ratio=3)
-    shown.add_column("held", no_wrap=True)
+    shown.add_column("held", no_wrap=True, min_width=4)
     name = ""
     for row in table:
         fault, what, phases, did_, took, most, rule, _ = _cells(row)

@@ -87,7 +87,8 @@ class Watch:
         self._intended: FlightMode | None = None
         self._armed = False
         self._was_steering = False
-        self._seqs: dict[str, int] = {}
+        self._seqs: dict[str, tuple[int, int]] = {}
+        """Session → its last number, and when it came."""
         self._last: Setpoint | None = None
         self._recent: deque[int] = deque(maxlen=int(settings.stream.max_rate_hz) + 2)
 
@@ -131,12 +132,14 @@ class Watch:
 
     def _may_be_believed(self, e: RangeSample) -> bool:
         """New, of the target, and a length: what nobody may steer by is left out, not every outlier."""
-        fresh = e.seq > self._seqs.get(e.session, -1)
+        last, t_last_ns = self._seqs.get(e.session, (-1, 0))
+        silent = e.t_ns - t_last_ns > self._settings.ranges.restart_after_s * 1e9  # then it may begin anew
+        fresh = e.seq > last or silent
         mission = self._settings.mission
         known = self._settings.beacons if mission.kind == "station" else (mission.target,)
         if e.beacon not in known or not 0.0 < e.range_m < 1e6 or not fresh:
             return False
-        self._seqs[e.session] = e.seq
+        self._seqs[e.session] = e.seq, e.t_ns
         return True
 
     # ---------------------------------------------------------------------------------------------- sent
