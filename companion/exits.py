@@ -24,7 +24,7 @@ class Exit(IntEnum):
 MEANING = {
     Exit.OK: "done; for fly and demo: the target was captured; for check: ready to fly",
     Exit.USAGE: "wrong command line or configuration",
-    Exit.NO_VEHICLE: "no telemetry from an autopilot within loss.wait_s; for watch: no vehicle heard",
+    Exit.NO_VEHICLE: "no vehicle fit to fly (telemetry, battery) within loss.wait_s; for watch: none heard",
     Exit.NO_RANGES: "no usable ranges within loss.wait_s; for beacons: no range heard",
     Exit.NOT_CAPTURED: "the flight ended without a capture",
     Exit.LINK: "a port or endpoint could not be opened",

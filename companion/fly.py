@@ -16,7 +16,7 @@ import zenoh
 from companion.exits import Exit
 from companion.link.ground_station import GroundStation
 from companion.link.mavlink import VehicleLink
-from companion.link.signing import SignedMavlink
+from companion.link.signing import SignedMavlink, SigningError
 from companion.link.systemd import Notifier
 from companion.link.zenoh_ranges import RangeLink
 from companion.link.zenoh_status import StatusLink
@@ -43,15 +43,7 @@ def fly(
             stack.callback(bell.close)
             systemd = Notifier()
             stack.callback(systemd.close)
-            signed = SignedMavlink.of(settings.vehicle)
-            if signed is not None:
-                stack.callback(signed.close)
-            vehicle = VehicleLink.open(
-                settings.vehicle, signed, settings.mission.shadow, GroundStation(settings)
-            )
-            stack.callback(vehicle.close)
-            ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
-            stack.callback(ranges.close)
+            vehicle, ranges = _links(stack, settings, bell)
             network = NetworkWatch(ranges, bool(settings.ranges.tls), view.tell)
             status = StatusLink(settings, lambda: ranges.session, view.tell)
             stack.callback(status.close)
@@ -76,7 +68,7 @@ def fly(
                 view.tell(f"not recorded: {recorder.problem}")
             gc.freeze()  # what is there now stays: the collector need not look at it again
             final = run(live(vehicle, ranges, bell), settings, send, recorder.write)
-    except (OSError, ValueError, serial.SerialException, zenoh.ZError) as error:
+    except (LinkError, OSError, SigningError, serial.SerialException, zenoh.ZError) as error:
         print(f"companion: link: {error}", file=sys.stderr)
         return Exit.LINK
     flight = report(log, problem_of(settings))
@@ -88,6 +80,24 @@ def fly(
         print(f"to look at it: companion report {recorder.name}")
     _write(flight, json_file, png_file)
     return exit_status(final, log)
+
+
+class LinkError(Exception):
+    """A link cannot be opened as configured. (In flight a ValueError is a bug, and crashes.)"""
+
+
+def _links(stack: ExitStack, settings: Settings, bell: Bell) -> tuple[VehicleLink, RangeLink]:
+    try:
+        signed = SignedMavlink.of(settings.vehicle)
+        if signed is not None:
+            stack.callback(signed.close)
+        vehicle = VehicleLink.open(settings.vehicle, signed, settings.mission.shadow, GroundStation(settings))
+        stack.callback(vehicle.close)
+        ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
+        stack.callback(ranges.close)
+    except ValueError as error:
+        raise LinkError(str(error)) from error
+    return vehicle, ranges
 
 
 class NetworkWatch:

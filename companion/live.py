@@ -15,6 +15,8 @@ from companion.types import Event, StopRequest, Tick
 
 TICK_NS = 10_000_000
 """Resolution of timeouts and of the stream's minimum rate."""
+_PAUSE_NS = 250_000_000
+"""A loop that stood still for longer is told so first; less than any `loss.held_up_after_s`."""
 
 
 class Bell:
@@ -55,16 +57,21 @@ def live(vehicle: VehicleLink, ranges: RangeLink, bell: Bell) -> Iterator[Event]
     """Every event of a real flight, for as long as it is asked for.
 
     A range or a telemetry message is yielded as soon as it arrives; a tick after every pause, and at least
-    every `TICK_NS`. Whoever iterates more slowly gets fewer ticks, never a backlog of them.
+    every `TICK_NS`. Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause the
+    tick comes first: ranges that waited bear the times at which they came, as if there had been none.
     """
     waiting = select.poll()  # not `selectors`: its wrapping costs more than the system call
     waiting.register(vehicle.fileno(), select.POLLIN)
     waiting.register(bell.fileno(), select.POLLIN)
-    next_tick_ns = 0
+    next_tick_ns, last_turn_ns = 0, time.monotonic_ns()
     stopped = False
     while True:
         wait_ms = math.ceil((next_tick_ns - time.monotonic_ns()) * 1e-6)
         ready = dict(waiting.poll(max(0, wait_ms)))
+        now_ns = time.monotonic_ns()
+        if now_ns - last_turn_ns > _PAUSE_NS:
+            yield Tick(t_ns=now_ns)  # critical: the pilot must see that it was held up before it steers again
+        last_turn_ns = now_ns
         if bell.fileno() in ready:
             bell.silence()
             yield from ranges.receive()

@@ -11,12 +11,13 @@ from msgspec.structs import replace
 from companion import echo, limits, phase, reasons
 from companion.beacons import configured
 from companion.guidance import schemes
+from companion.guidance.scheme import Command
 from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.health import Health
 from companion.intake import predict, take_in
 from companion.phase import Company, Condition, Facts, Ranges
 from companion.settings import Settings
-from companion.state import STANDSTILL, Flight, Observing, Plan, Ranging, State, Steering, age_s
+from companion.state import STANDSTILL, Flight, Observing, Plan, Ranging, State, Steering, age_s, height_m
 from companion.status import snapshot, who
 from companion.types import (
     Attitude,
@@ -161,7 +162,7 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
                 s.steering,
                 command=STANDSTILL,
                 t_command_ns=t_ns,
-                hold_height_m=s.vehicle.height_m,
+                hold_height_m=height_m(p, s, t_ns),
                 limits=limits.start(t_ns),
             ),
             flight=replace(s.flight, was_engaged=True, captured=False, t_engaged_ns=t_ns, engaged_s=0.0),
@@ -173,6 +174,10 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
             observing=replace(s.observing, guidance=p.scheme.initial(p.scheme.p)),
             steering=replace(s.steering, command=STANDSTILL),
         )
+    if after is Phase.STALL:
+        # critical: the first setpoint after it would be what was commanded before it
+        stand = Command(0.0, 0.0, s.steering.command.purpose)
+        return replace(s, steering=replace(s.steering, command=stand))
     if after is Phase.STANDBY:
         return replace(s, flight=replace(s.flight, was_ready=True))
     if after in (Phase.HOLD, Phase.KEEP):
@@ -228,7 +233,7 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         company=who(p, s, t_ns) if h.commander or h.other_vehicle else Company.NOBODY,
         battery_low=h.battery_low,
         # A height is needed to begin with; once engaged the one to hold is known.
-        estimate_invalid=t_ns < h.unfit_until_ns or (v.height_m is None and _needs_height(p, s)),
+        estimate_invalid=t_ns < h.unfit_until_ns or (_needs_height(p, s) and height_m(p, s, t_ns) is None),
     )
     return _insisting(facts) if ardupilot and s.phase.is_engaged else facts
 
@@ -282,10 +287,11 @@ def _setpoint(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
     """What leaves of the command: by the phase, then by the limits."""
     cfg, v, g = p.settings.vehicle, s.vehicle, s.steering
     moving = s.phase in phase.MOVING
-    hold_m = g.hold_height_m if s.phase.is_engaged else v.height_m
+    now_m = height_m(p, s, t_ns)
+    hold_m = g.hold_height_m if s.phase.is_engaged else now_m
     climb_m_s = 0.0
-    if cfg.setpoint_frame == "body_ned" and hold_m is not None and v.height_m is not None:
-        climb_m_s = cfg.height_gain_1_s * (hold_m - v.height_m)
+    if cfg.setpoint_frame == "body_ned" and hold_m is not None and now_m is not None:
+        climb_m_s = cfg.height_gain_1_s * (hold_m - now_m)
     wanted = Setpoint(
         t_ns=t_ns,
         speed_m_s=g.command.v_m_s if moving else 0.0,  # critical: no speed in any other phase

@@ -24,8 +24,7 @@ HandOverTo = Literal["land", "hold", "release"]
 
 def hand_over_to(p: Plan, s: State, condition: Condition, t_ns: int) -> HandOverTo:
     """What is asked for at a hand-over: as configured, but never for a Hold that is known to be refused."""
-    cfg = p.settings.loss
-    wanted = cfg.battery_to if condition is Condition.BATTERY_LOW else cfg.hand_over_to
+    wanted = _configured(p, condition)
     e = fresh_estimator(s.health, t_ns)
     return "land" if wanted == "hold" and e is not None and not e.global_position else wanted
 

@@ -115,3 +115,9 @@ class State(msgspec.Struct, frozen=True, gc=False):
 def age_s(then_ns: int | None, now_ns: int) -> float:
     """Seconds since then; infinite where it never was."""
     return math.inf if then_ns is None else (now_ns - then_ns) * 1e-9
+
+
+def height_m(p: Plan, s: State, t_ns: int) -> float | None:
+    """The height, while it is told: by an old one a vehicle would climb or sink without end."""
+    late_s = p.settings.loss.telemetry_after_s
+    return s.vehicle.height_m if age_s(s.vehicle.t_motion_ns, t_ns) <= late_s else None

@@ -9,7 +9,7 @@ from companion.echo import is_foreign
 from companion.guidance.scheme import UNKNOWN_M
 from companion.health import WITHOUT, battery_words, fresh_estimator, shortfalls
 from companion.phase import Company
-from companion.state import Plan, State, age_s
+from companion.state import Plan, State, age_s, height_m
 from companion.types import Charge, Estimate, Landed, Phase, Status
 
 
@@ -20,7 +20,7 @@ def awaited(p: Plan, s: State, t_ns: int) -> tuple[str, ...]:
         missing.append(f"autopilot HEARTBEAT on {cfg.vehicle.mavlink}")
     elif age_s(s.vehicle.t_attitude_ns, t_ns) > cfg.loss.telemetry_after_s:
         missing.append(f"ATTITUDE on {cfg.vehicle.mavlink}")
-    elif cfg.vehicle.setpoint_frame == "local_ned" and s.vehicle.height_m is None:
+    elif cfg.vehicle.setpoint_frame == "local_ned" and height_m(p, s, t_ns) is None:
         missing.append(f"LOCAL_POSITION_NED on {cfg.vehicle.mavlink}")
     elif s.vehicle.intended is None and s.vehicle.armed and s.vehicle.landed is not Landed.ON_GROUND:
         missing.append(f"CURRENT_MODE on {cfg.vehicle.mavlink}, or a start on the ground")
@@ -83,8 +83,6 @@ def with_the_silent(p: Plan, s: State, t_ns: int, reason: str) -> str:
 
 _RIVAL_S = 5.0
 """A second publisher is told for so long after it was heard last."""
-
-
 _TELL_WITHIN_S = 5.0
 """What an autopilot has not told by then, it will not tell."""
 _WORDS_S = 10.0

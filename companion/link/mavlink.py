@@ -52,6 +52,8 @@ _STEERING = frozenset(
 """Setpoints: whoever sends these to our vehicle flies it."""
 
 _LANDED_RATE_HZ = 5.0
+_TURN_NS = 20_000_000
+"""So long is read at a time."""
 
 
 class VehicleLink:
@@ -110,8 +112,9 @@ class VehicleLink:
     # --------------------------------------------------------------------------------------- receiving
 
     def receive(self, clock: Callable[[], int] = time.monotonic_ns) -> Iterator[Event]:
-        """Everything that has come since, as events."""
-        while data := self._transport.receive():
+        """What has come since, as events. Of a flood the rest waits: the loop has other things to do."""
+        began_ns = t_ns = clock()
+        while t_ns - began_ns < _TURN_NS and (data := self._transport.receive()):
             t_ns = clock()
             for message in self._mav.parse_buffer(data) or ():
                 event = self._event(message, t_ns)
@@ -139,7 +142,7 @@ class VehicleLink:
                 self._adopt(system)
         if m.get_msgId() in self._counts:
             self._counts[m.get_msgId()] += 1
-        if kind == "HEARTBEAT":
+        if kind == "HEARTBEAT" and self._target_system:  # asked of system 0, everybody would answer
             self._ask_for_telemetry(t_ns)
         event = decode(m, t_ns)
         if event is None:

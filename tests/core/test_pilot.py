@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import msgspec
 import pytest
@@ -184,6 +185,44 @@ def test_without_a_heading_it_stands_still_and_without_a_vehicle_it_is_silent() 
     gone = fly(script.run(5.0), before=blind)
     assert gone.state.phase is Phase.RELEASED
     assert setpoints(gone)[-1].t_ns < (script.t_ms - 1500) * MS
+
+
+def test_what_was_commanded_before_a_standstill_does_not_leave_after_it() -> None:
+    script = Script()
+    before = engaged(script)
+    script.tells_attitude = False
+    blind = fly(script.run(1.5), before=before)
+    assert blind.state.phase is Phase.STALL
+    t_ns = (script.t_ms + 100) * MS
+    back = fly([Attitude(t_ns, 0.0, 0.0, script.t_ms + 100), Tick(t_ns)], before=blind)
+    assert back.state.phase is Phase.ACQUIRE
+    (first,) = setpoints(back)
+    assert (first.speed_m_s, first.yaw_rate_rad_s) == (0.0, 0.0)
+
+
+def without_motion(events: Iterator[Event]) -> Iterator[Event]:
+    return (event for event in events if not isinstance(event, LocalMotion))
+
+
+def test_by_a_height_that_is_not_told_any_more_it_does_not_climb() -> None:
+    script = Script()
+    before = engaged(script, Settings(vehicle=VehicleSettings(setpoint_frame="body_ned")))
+    script.height_m = 2.5
+    low = fly(script.run(0.5), before=before)
+    assert setpoints(low)[-1].climb_m_s > 0.0
+    blind = fly(without_motion(script.run(1.0)), before=low)
+    assert setpoints(blind)[-1].climb_m_s == 0.0
+
+
+def test_a_height_of_long_ago_is_not_the_one_to_hold() -> None:
+    script = Script()
+    ready = fly(script.run(2.0))
+    assert ready.state.phase is Phase.STANDBY
+    blind = fly(without_motion(script.run(1.0)), before=ready)
+    assert blind.state.phase is Phase.AWAIT
+    assert "LOCAL_POSITION_NED" in last_status(blind).awaited[0]
+    script.actual = script.intended = OFFBOARD
+    assert not setpoints(fly(without_motion(script.run(1.0)), before=blind))
 
 
 @pytest.mark.parametrize("first", ["range", "mode", "tick"])
