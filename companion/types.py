@@ -10,7 +10,7 @@ Frames and signs, once for the whole project (the paper's, not the autopilot's):
 - bearing θ = heading − azimuth of the line of sight, in (−π, π]; θ > 0: the target is on the right
   (paper, Fig. 1 and Eq. (4)).
 
-The autopilot's NED signs exist in `link/mavlink.py` and in `sitl_mock` alone.
+The autopilot's NED signs exist in `link/mavlink.py` (out), `link/decode.py` (in) and in `sitl_mock` alone.
 
 Time is integer nanoseconds of the local monotonic clock (`t_ns`), the time of reception; durations are
 float seconds. `None` means "not told"; no field is ever NaN or infinite unless a docstring says so.
