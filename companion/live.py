@@ -7,7 +7,6 @@ import select
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
@@ -30,8 +29,10 @@ class Bell:
 
     def ring(self) -> None:
         """Wake the loop; a full pipe means that it is awake already."""
-        with suppress(BlockingIOError):
+        try:  # not `suppress`: this is on the way of every range
             self._writer.send(b"\0")
+        except BlockingIOError:
+            return
 
     def ask_stop(self) -> None:
         """Wake the loop and end the flight in an orderly way."""
@@ -44,8 +45,10 @@ class Bell:
 
     def silence(self) -> None:
         """Take back the rings so far. Of more than fit in one go the rest wakes once more."""
-        with suppress(BlockingIOError):
+        try:
             self._reader.recv(4096)
+        except BlockingIOError:
+            return
 
     def close(self) -> None:
         """Free both ends."""
@@ -61,8 +64,9 @@ def live(vehicle: VehicleLink, ranges: RangeLink, bell: Bell) -> Iterator[Event]
     tick comes first: ranges that waited bear the times at which they came, as if there had been none.
     """
     waiting = select.poll()  # not `selectors`: its wrapping costs more than the system call
-    waiting.register(vehicle.fileno(), select.POLLIN)
-    waiting.register(bell.fileno(), select.POLLIN)
+    telemetry, rung = vehicle.fileno(), bell.fileno()
+    waiting.register(telemetry, select.POLLIN)
+    waiting.register(rung, select.POLLIN)
     next_tick_ns, last_turn_ns = 0, time.monotonic_ns()
     stopped = False
     while True:
@@ -72,10 +76,10 @@ def live(vehicle: VehicleLink, ranges: RangeLink, bell: Bell) -> Iterator[Event]
         if now_ns - last_turn_ns > _PAUSE_NS:
             yield Tick(t_ns=now_ns)  # critical: the pilot must see that it was held up before it steers again
         last_turn_ns = now_ns
-        if bell.fileno() in ready:
+        if rung in ready:
             bell.silence()
             yield from ranges.receive()
-        if vehicle.fileno() in ready:
+        if telemetry in ready:
             yield from vehicle.receive()
         now_ns = time.monotonic_ns()
         if bell.stop_asked and not stopped:

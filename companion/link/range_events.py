@@ -5,8 +5,6 @@ Nothing here raises for what the bytes hold: they become an event, or the reason
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import msgspec
 
 from companion import wire_range
@@ -19,7 +17,7 @@ MAX_ATTACHMENT_BYTES = 128
 _GOOD = frozenset({"ok", "success"})
 
 
-class Raw(NamedTuple):
+class Raw(msgspec.Struct, frozen=True, gc=False):
     """A sample or a reply as it came."""
 
     t_ns: int
