@@ -276,7 +276,8 @@ def _is_due(p: Plan, s: State, event: Event) -> bool:
 def _command(p: Plan, s: State, t_ns: int) -> State:
     """What the guidance asks for now."""
     o, g = predict(p, s, t_ns), s.steering
-    dt_s = (t_ns - g.t_command_ns) * 1e-9
+    # after a stall the time that nothing was commanded does not count as a turn flown
+    dt_s = min((t_ns - g.t_command_ns) * 1e-9, 2.0 / p.settings.stream.min_rate_hz)
     guidance, command = p.scheme.command(p.scheme.p, o.guidance, dt_s, o.motion.yaw_rate_rad_s)
     return replace(
         s, observing=replace(o, guidance=guidance), steering=replace(g, command=command, t_command_ns=t_ns)
