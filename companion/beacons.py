@@ -7,7 +7,7 @@ import math
 import msgspec
 from msgspec.structs import replace
 
-from companion.settings import BeaconSettings, RangesSettings
+from companion.network_settings import BeaconSettings, RangesSettings
 from companion.types import BeaconTold, LineOfSight, RangeSample
 
 

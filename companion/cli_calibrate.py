@@ -137,7 +137,7 @@ def _groups(args: argparse.Namespace) -> list[Group]:
 def _name(text: str) -> str:
     import msgspec
 
-    from companion.settings import Name
+    from companion.network_settings import Name
 
     try:
         return msgspec.convert(text, Name)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 from companion.exits import Exit
 
 if TYPE_CHECKING:
-    from companion.settings import RangesSettings, Settings
+    from companion.network_settings import RangesSettings
+    from companion.settings import Settings
     from companion.watch.terminal import Screen
 
 WATCH_EXAMPLES = (
@@ -148,7 +149,7 @@ def _check(settings: RangesSettings) -> None:
 def _name(text: str) -> None:
     import msgspec
 
-    from companion.settings import Name
+    from companion.network_settings import Name
 
     try:
         msgspec.convert(text, Name)

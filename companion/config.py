@@ -22,7 +22,8 @@ from msgspec import inspect
 from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.link import credentials
 from companion.link.transport import parse_url
-from companion.settings import NAME_RULE, Settings, is_name
+from companion.network_settings import NAME_RULE, is_name
+from companion.settings import Settings
 from sitl_mock.scenario import Scenario
 
 ENVIRONMENT_PREFIX = "COMPANION_"

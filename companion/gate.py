@@ -12,9 +12,9 @@ import msgspec
 from msgspec.structs import replace
 
 from companion import pace, reach
+from companion.network_settings import RangesSettings
 from companion.pace import Pace
 from companion.reach import Reach
-from companion.settings import RangesSettings
 from companion.types import LineOfSight, RangeSample, Verdict
 
 

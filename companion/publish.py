@@ -25,7 +25,7 @@ from companion import wire_range
 from companion.exits import Exit
 from companion.link.zenoh_publish import Ear, Heard, PublishLink
 from companion.link.zenoh_session import words
-from companion.settings import NAME_RULE, RangesSettings, is_name
+from companion.network_settings import NAME_RULE, RangesSettings, is_name
 from companion.uwb import info as beacon_info
 from companion.uwb.check import Finding, KeyReport, Level, judge, judge_beacon
 from companion.uwb.families import Family, open_parser

@@ -36,7 +36,7 @@ from companion.bench.network_ends import (
     Window,
 )
 from companion.link.zenoh_session import LEASE_MS
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 
 SITE = "bench"
 BEACONS_IN_A_PROCESS = 25

@@ -24,7 +24,7 @@ from companion import gate
 from companion.link.zenoh_publish import PublishLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.types import RangeSample, Verdict
 from companion.wire_range import RangeMessage
 

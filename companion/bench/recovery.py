@@ -20,7 +20,7 @@ import msgspec
 
 from companion.bench.network import SITE, BenchError, Process, free_port, plain_router
 from companion.bench.network_ends import WARM_UP_S, Arrival, BeaconsEnd, VehicleEnd, Window
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.types import Verdict
 
 RATE_HZ = 20.0

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from companion.settings import BeaconSettings
+from companion.network_settings import BeaconSettings
 
 LEAST = 20
 """Fewer ranges of a distance tell nothing of their spread."""

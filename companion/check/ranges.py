@@ -13,7 +13,8 @@ from companion.beacons import Beacon, configured, told
 from companion.check.report import Part, Row, State
 from companion.gate import Track
 from companion.guidance.station_settings import BEACONS_NEEDED
-from companion.settings import BeaconSettings, Settings
+from companion.network_settings import BeaconSettings
+from companion.settings import Settings
 from companion.types import BeaconTold, Event, LineOfSight, Malformed, RangeSample, Verdict
 
 _MOST_BEACONS = 64

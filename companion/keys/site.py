@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from companion.keys import certificates, router
 from companion.keys.certificates import MOST_COMMON_NAME, Identity, Role
 from companion.link.credentials import AUTHORITY, CERTIFICATE, KEY
-from companion.settings import NAME_RULE, is_name
+from companion.network_settings import NAME_RULE, is_name
 
 AUTHORITY_DAYS = 3650
 SOON = timedelta(days=30)

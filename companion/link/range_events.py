@@ -8,7 +8,7 @@ from __future__ import annotations
 import msgspec
 
 from companion import wire_range
-from companion.settings import Ros2Settings
+from companion.network_settings import Ros2Settings
 from companion.types import BeaconTold, Defect, Event, Malformed, RangeSample
 from companion.uwb import info, ros2
 

@@ -21,7 +21,8 @@ from companion.link.modes import ardupilot_mode, px4_mode
 from companion.link.signing import REFUSALS, SignedMavlink
 from companion.link.transport import Transport, open_transport
 from companion.link.zenoh_ranges import RangeLink
-from companion.settings import RangesSettings, VehicleSettings
+from companion.network_settings import RangesSettings
+from companion.settings import VehicleSettings
 from companion.types import Charge, EstimatorReport, FlightMode, Landed, SystemStatus
 
 PARAMETERS = ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "COM_RC_OVERRIDE", "MIS_TAKEOFF_ALT")

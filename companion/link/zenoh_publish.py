@@ -25,7 +25,7 @@ import zenoh
 
 from companion import wire_range
 from companion.link.zenoh_session import Opener, is_client, neighbours, zenoh_config
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.wire_range import RangeMessage, alive_key, info_key
 
 _ANSWER_S = 2.0

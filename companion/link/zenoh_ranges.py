@@ -24,7 +24,7 @@ from companion.link.range_events import (
     ros2_event,
 )
 from companion.link.zenoh_session import Opener
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.types import Defect, Event, Malformed
 from companion.uwb import ros2
 

@@ -10,7 +10,7 @@ from threading import Event, Thread
 import zenoh
 
 from companion.link import credentials
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 
 _RETRY_S = 0.1
 LEASE_MS = 2000

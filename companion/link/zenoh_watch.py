@@ -8,7 +8,7 @@ import zenoh
 
 from companion.link.zenoh_publish import Answer, Heard, heard
 from companion.link.zenoh_session import Opener, words
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 
 _BACKLOG = 4096
 """Samples that wait to be drained at most; the oldest give way."""

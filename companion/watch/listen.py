@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from companion import wire_status
 from companion.link.zenoh_watch import WatchLink
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.types import PhaseChange
 from companion.watch.fleet import Fleet, Link, Vehicle
 from companion.wire_status import StatusMessage, alive_key, status_key

@@ -13,7 +13,8 @@ from companion import beacons, gate
 from companion.beacons import Beacon
 from companion.link.range_events import Raw, range_event
 from companion.link.zenoh_publish import Answer, Heard
-from companion.settings import BeaconSettings, Settings
+from companion.network_settings import BeaconSettings
+from companion.settings import Settings
 from companion.types import LineOfSight, Malformed, RangeSample, Verdict
 from companion.uwb import info
 from companion.uwb.info import BeaconInfo

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 from companion import wire_range
 from companion.link.zenoh_watch import WatchLink
-from companion.settings import BeaconSettings, Settings
+from companion.network_settings import BeaconSettings
+from companion.settings import Settings
 from companion.watch.fleet import Link
 from companion.watch.sensors import Sensors
 

@@ -10,7 +10,7 @@ from companion.bench import recovery
 from companion.bench.network import BenchError, Figures, Load, Process, bench_network, table
 from companion.bench.network_ends import VehicleEnd
 from companion.bench.recovery import Fault
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 
 
 def quiet(_: str) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from companion.settings import BeaconSettings, Settings
+from companion.network_settings import BeaconSettings
+from companion.settings import Settings
 from companion.types import BeaconTold, RangeSample, Status, Verdict
 from tests.core.flights import MS, Flown, Script, fly
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion import beacons, gate
-from companion.settings import BeaconSettings, RangesSettings
+from companion.network_settings import BeaconSettings, RangesSettings
 from companion.types import BeaconTold, LineOfSight, RangeSample, Verdict
 
 CFG = RangesSettings(max_range_m=50.0, max_age_s=0.3)

@@ -12,7 +12,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ORDER = [
-    "types", "guidance", "settings", "beacons", "pace", "reach", "gate", "vehicle", "echo", "health", "phase",
+    "types", "guidance", "network_settings", "settings",
+    "beacons", "pace", "reach", "gate", "vehicle", "echo", "health", "phase",
     "limits", "state", "intake", "status", "reasons", "pilot", "run",
 ]  # fmt: skip
 """The core, each built on those before it."""

@@ -15,8 +15,8 @@ import pytest
 
 from companion.exits import Exit
 from companion.link.zenoh_ranges import RangeLink
+from companion.network_settings import RangesSettings
 from companion.operator import OperatorResult
-from companion.settings import RangesSettings
 from companion.types import RangeSample
 from companion.wire_range import RangeMessage, decode
 from tests.core.readme import README, with_figures, with_table

@@ -19,7 +19,8 @@ from companion.keys import site
 from companion.keys.certificates import Role
 from companion.keys.router import Site, router_config
 from companion.link import credentials
-from companion.settings import RangesSettings, Settings, StatusSettings
+from companion.network_settings import RangesSettings
+from companion.settings import Settings, StatusSettings
 from tests.keys.site import NOW, keys, make
 
 Say = pytest.CaptureFixture[str]

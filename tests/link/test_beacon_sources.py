@@ -12,7 +12,7 @@ import pytest
 from companion.link.range_events import Raw, info_event, ros2_event
 from companion.link.zenoh_publish import PublishLink
 from companion.link.zenoh_ranges import RangeLink
-from companion.settings import RangesSettings, Ros2Settings
+from companion.network_settings import RangesSettings, Ros2Settings
 from companion.types import BeaconTold, Defect, Event, Malformed, RangeSample
 from companion.uwb import ros2
 from companion.uwb.info import BeaconInfo, encode

@@ -15,7 +15,8 @@ import zenoh
 
 from companion import pilot
 from companion.link.zenoh_ranges import RangeLink
-from companion.settings import BeaconSettings, MissionSettings, RangesSettings, Settings
+from companion.network_settings import BeaconSettings, RangesSettings
+from companion.settings import MissionSettings, Settings
 from companion.state import State
 from companion.types import Defect, Event, Malformed, RangeSample, Tick, Verdict
 from companion.wire_range import JSON, range_key

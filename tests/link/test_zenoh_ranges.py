@@ -15,7 +15,7 @@ import zenoh
 
 from companion import wire_range
 from companion.link.zenoh_ranges import RangeLink
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.types import Defect, Event, LineOfSight, Malformed, RangeSample
 from companion.wire_range import JSON, MSGPACK, RangeMessage, range_key
 from tests.uwb.network import until

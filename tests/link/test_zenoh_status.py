@@ -14,7 +14,8 @@ from companion import wire_status
 from companion.link.zenoh_ranges import RangeLink
 from companion.link.zenoh_status import StatusLink
 from companion.link.zenoh_watch import WatchLink
-from companion.settings import RangesSettings, Settings, StatusSettings
+from companion.network_settings import RangesSettings
+from companion.settings import Settings, StatusSettings
 from companion.types import Phase
 from companion.wire_status import StatusMessage, alive_key, status_key
 from tests.link.test_fly_process import fly, start

@@ -13,7 +13,8 @@ from rich.console import Console
 from companion.cli import main
 from companion.exits import Exit
 from companion.link.zenoh_publish import Answer, Heard, PublishLink
-from companion.settings import BeaconSettings, RangesSettings, Settings
+from companion.network_settings import BeaconSettings, RangesSettings
+from companion.settings import Settings
 from companion.types import LineOfSight
 from companion.uwb import info
 from companion.uwb.info import BeaconInfo

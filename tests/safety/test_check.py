@@ -15,7 +15,8 @@ from companion.check import CheckReport, Row, State, check, text
 from companion.link.mavlink import VehicleLink
 from companion.link.signing import Key, SignedMavlink, Timestamps
 from companion.link.survey import VehicleSurvey, wanted_rates
-from companion.settings import LimitSettings, RangesSettings, Settings, VehicleSettings
+from companion.network_settings import RangesSettings
+from companion.settings import LimitSettings, Settings, VehicleSettings
 from tests.safety.relay import Relay
 from tests.sitl_mock.process import free_udp_port, running_mock
 

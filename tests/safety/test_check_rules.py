@@ -14,14 +14,8 @@ from companion.check.ranges import judge as judge_ranges
 from companion.check.report import CheckReport, Part, Row, State, text
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
 from companion.link.survey import Health, Other, VehicleFindings
-from companion.settings import (
-    BeaconSettings,
-    MissionSettings,
-    RangesSettings,
-    Ros2Settings,
-    Settings,
-    VehicleSettings,
-)
+from companion.network_settings import BeaconSettings, RangesSettings, Ros2Settings
+from companion.settings import MissionSettings, Settings, VehicleSettings
 from companion.types import (
     BeaconTold,
     Charge,

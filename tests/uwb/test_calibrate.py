@@ -15,8 +15,9 @@ from companion import beacons
 from companion.calibrate import CalibrationError, Fit, Group, Point, calibrate, group, text
 from companion.cli import main
 from companion.exits import Exit
+from companion.network_settings import BeaconSettings
 from companion.record import Recorder, start_now
-from companion.settings import BeaconSettings, Settings
+from companion.settings import Settings
 from companion.types import LineOfSight, RangeSample
 
 

@@ -20,8 +20,8 @@ import zenoh
 from companion import cli_publish
 from companion.exits import Exit
 from companion.link.zenoh_ranges import RangeLink
+from companion.network_settings import RangesSettings
 from companion.publish import MOST_PAIRS, Publication, Sender
-from companion.settings import RangesSettings
 from companion.types import LineOfSight
 from companion.uwb import sources
 from companion.uwb.families import Family, open_parser

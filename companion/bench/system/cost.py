@@ -18,8 +18,9 @@ import msgspec
 from companion import pilot
 from companion.bench.system.figures import quantile
 from companion.config import Config
+from companion.network_settings import BeaconSettings
 from companion.run import run
-from companion.settings import BeaconSettings, LimitSettings, MissionSettings
+from companion.settings import LimitSettings, MissionSettings
 from companion.types import Event, RangeSample
 from sitl_mock.scenario import BeaconAt, Scenario
 from sitl_mock.world import World

@@ -17,7 +17,7 @@ import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.zenoh_session import zenoh_config
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.wire_range import range_key
 
 _HEARTBEAT_S = 1.0

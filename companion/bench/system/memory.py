@@ -21,9 +21,9 @@ from companion.bench.system.wire import rss_of
 from companion.link.ground_station import GroundStation
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
+from companion.network_settings import RangesSettings
 from companion.record import FLUSH_S, FlightWriter, start_now
 from companion.run import run
-from companion.settings import RangesSettings
 from companion.summary import FlightLog
 from companion.types import Event, Output, PhaseChange, Status
 from companion.view import ViewKind, open_view

@@ -22,7 +22,7 @@ import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.zenoh_session import zenoh_config
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.wire_range import JSON, RangeMessage, encode, range_key
 
 NICE = -10

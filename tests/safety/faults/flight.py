@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from companion.network_settings import BeaconSettings
 from companion.run import run
-from companion.settings import BeaconSettings, LimitSettings, MissionSettings, Settings
+from companion.settings import LimitSettings, MissionSettings, Settings
 from companion.types import (
     Event,
     ModeRequest,

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import zenoh
 
 from companion.link.zenoh_session import zenoh_config
-from companion.settings import RangesSettings
+from companion.network_settings import RangesSettings
 from companion.types import FlightMode, Phase
 from tests.safety.faults.expected import GOES_ON
 from tests.safety.faults.flight import SETTINGS, Outcome
