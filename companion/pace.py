@@ -42,13 +42,18 @@ def judged(pace: Pace, sample: RangeSample, max_age_s: float) -> tuple[Pace, boo
     return _by_number(pace, sample, max_age_s)
 
 
+_ENOUGH = 8
+"""Spacings after which their mean is one: the first ranges may come close together by chance."""
+
+
 def _by_number(pace: Pace, sample: RangeSample, max_age_s: float) -> tuple[Pace, bool]:
     """Without a stamp the sequence number is the publisher's clock: it counts usual spacings.
 
     A backlog that comes at once is thus told from its numbers, from its oldest range to its newest.
     """
     since, steps = sample.t_ns - pace.t_ns, sample.seq - pace.seq
-    spacing = pace.spent_ns / pace.counted if pace.counted else since / max(steps, 1)
+    is_known = pace.counted >= _ENOUGH
+    spacing = pace.spent_ns / pace.counted if is_known else since / max(steps, 1)
     sent_t_ns = 0 if pace.sent_t_ns is None else pace.sent_t_ns + round(_FAST * steps * spacing)
     after, is_fresh = _by_stamp(pace, sample, sent_t_ns, _PAUSED, max_age_s)
     if pace.late_in_a_row == _PAUSED - 1 and is_fresh:

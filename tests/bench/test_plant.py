@@ -77,7 +77,6 @@ def test_no_flight_is_earlier_than_the_bound_and_the_best_attains_it(
 # --------------------------------------------------------------------------------------- errors and lags
 
 
-@pytest.mark.xdist_group("numba")
 def test_an_error_has_the_spread_and_the_smoothness_that_it_should() -> None:
     spread = Spread(0.3, 0.2, 1.5)
     np.random.seed(1)
@@ -168,7 +167,6 @@ def test_the_paper_and_the_air_path_agree_on_a_straight_flight() -> None:
     assert flight.bound_m == 0.0
 
 
-@pytest.mark.xdist_group("numba")
 def test_the_compiled_bound_is_the_same() -> None:
     fast = compiled(plants.shortest_time_s)
     for n in range(50):

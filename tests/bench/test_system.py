@@ -48,7 +48,6 @@ def test_what_is_missed_shows() -> None:
     assert "**≥ 20 1/s**" in markdown(report) and "**≤ 0.5 s**" not in markdown(report)
 
 
-@pytest.mark.xdist_group("wire")
 def test_the_app_is_measured_on_the_rig() -> None:
     with Rig(wire.ONE) as rig:
         segment = wire.measure(rig, wire.BARE, wire.ONE, 50.0, 1.0, 0.0)

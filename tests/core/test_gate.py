@@ -6,7 +6,7 @@ import math
 from random import Random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from companion import beacons, gate
@@ -154,6 +154,7 @@ def test_a_publisher_without_stamps_may_change_its_rate(before_ms: int, after_ms
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32))
+@example(162180)
 def test_jitter_and_losses_make_no_range_without_a_stamp_stale(seed: int) -> None:
     """Each is up to 80 ms late, and some never arrive; they stay in order."""
     chance = Random(seed)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
 from companion.bench.batch import Floats, Flyer, fly_many, random_starts
 from companion.bench.plant import Flight, Plant, Start
 from companion.guidance.schemes import capture
 from companion.guidance.settings import GuidanceSettings
 
-pytestmark = pytest.mark.xdist_group("numba")  # one worker compiles, not each
 NOMINAL = Plant()
 IDEAL = Plant(dropout=0.0, reflected=0.0, yaw_rate_lag_s=0.0, velocity_lag_s=0.0)
 PX4_LIKE = Plant(yaw_rate_lag_s=0.47, velocity_lag_s=0.72)

@@ -107,7 +107,6 @@ def test_the_mirrored_world_gets_the_mirrored_answer(keys: dict[str, Any], event
         assert command_2 == replace(command, omega_rad_s=-command.omega_rad_s)
 
 
-@pytest.mark.xdist_group("numba")
 @every_combination
 def test_numba_compiles_it_as_it_stands_to_the_same_numbers(keys: dict[str, Any]) -> None:
     scheme = capture(GuidanceSettings(**keys), 0.2)

@@ -1,8 +1,7 @@
 """A headless Chromium for tests of pages: opened once a session, driven by the DevTools protocol.
 
 The protocol's pipe is used (`--remote-debugging-pipe`: JSON ended by a zero byte), so there is no port and no
-WebSocket. The fixture `browser` comes with `tests/people/conftest.py`; tests that use it carry
-`pytest.mark.xdist_group("chromium")`, so that one worker starts one Chromium.
+WebSocket. The fixture `browser` comes with `tests/people/conftest.py`.
 """
 
 from __future__ import annotations

@@ -8,8 +8,6 @@ import pytest
 
 from tests.people.browser import Browser, BrowserError
 
-pytestmark = pytest.mark.xdist_group("chromium")
-
 PAGE = """<!doctype html><title>a page</title><body style="margin:0; background: #ff0000">
 <div id=box style="width:100px; height:50px; background: #00ff00"></div>
 <script>

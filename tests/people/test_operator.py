@@ -103,9 +103,6 @@ def flights() -> Iterator[dict[str, Future[Ended]]]:
         yield {name: pool.submit(run) for name, run in FLIGHTS.items()}
 
 
-pytestmark = [pytest.mark.xdist_group("operator")]
-
-
 def test_it_waits_for_a_companion_and_lands_when_at_rest(flights: dict[str, Future[Ended]]) -> None:
     ended = flights["finished"].result()
     assert ended.status == OperatorResult.FINISHED.exit_status == 0, ended.lines

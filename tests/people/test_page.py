@@ -18,8 +18,6 @@ from tests.people.browser import Browser, Page
 from tests.people.flights import status
 from tests.record.flights import flown, in_file, start
 
-pytestmark = pytest.mark.xdist_group("chromium")
-
 EVIL = "<img src=x onerror=alert(1)>"
 TRUTH = Truth([(1.0, 3.0), (3.5, 5.0)], (3.5, 5.0))
 

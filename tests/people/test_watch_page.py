@@ -74,7 +74,6 @@ INKED = """(id => {
 PLACE = "(b => [b.x + 90, b.y + 90])(document.getElementById('{}').getBoundingClientRect())"
 
 
-@pytest.mark.xdist_group("chromium")
 def test_a_flight_is_seen_live(browser: Browser, told: Told) -> None:
     tab = browser.open(told.page.url)
     told.hear("heron", *FLIGHT[:80:2])

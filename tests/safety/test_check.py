@@ -23,8 +23,6 @@ from tests.sitl_mock.process import free_udp_port, running_mock
 PATIENCE_S = 5.0
 HOLD, OFFBOARD = (4.0, 3.0), (6.0, 0.0)
 
-pytestmark = pytest.mark.xdist_group("check")
-
 
 class Stage:
     """A mock, the relay before it, and settings that lead there."""

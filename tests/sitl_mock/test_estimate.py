@@ -17,7 +17,6 @@ from sitl_mock.scenario import Scenario, TelemetryKind
 from sitl_mock.vehicle import Vehicle, wrap
 from tests.sitl_mock.recordings import estimate_and_truth
 
-pytestmark = pytest.mark.xdist_group("estimate")  # the flights are flown once
 SEEDS = range(10)
 RATE_HZ = 30
 Columns = dict[str, list[float]]

@@ -42,8 +42,6 @@ SHOWN_EVERY_S = 0.2
 
 Rows = tuple[Row, ...] | list[Row]
 
-pytestmark = pytest.mark.xdist_group("recordings")  # the replays are made once
-
 
 @cache
 def replayed(name: str) -> Rows:
