@@ -9,7 +9,7 @@ demo: .venv/installed
 	$(BIN)/companion demo --config config/demo.toml
 
 test: .venv/installed
-	$(BIN)/pytest -n 2 --dist loadfile -rs
+	$(BIN)/pytest -n 3 --dist loadfile # on two cores: many tests wait -rs
 
 # All of it takes minutes; a short form is among the tests.
 faults: .venv/installed
