@@ -8,8 +8,9 @@ BIN := .venv/bin
 demo: .venv/installed
 	$(BIN)/companion demo --config config/demo.toml
 
+# three workers for two cores: many tests wait
 test: .venv/installed
-	$(BIN)/pytest -n 3 --dist loadfile # on two cores: many tests wait -rs
+	$(BIN)/pytest -n 3 --dist loadfile -rs
 
 # All of it takes minutes; a short form is among the tests.
 faults: .venv/installed
