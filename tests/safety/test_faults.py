@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
@@ -21,7 +24,8 @@ from companion.types import (
 from sitl_mock.scenario import Scenario
 from sitl_mock.world import World
 from tests.safety.faults import report, wire
-from tests.safety.faults.__main__ import flights, main
+from tests.safety.faults.__main__ import main
+from tests.safety.faults.batch import flights
 from tests.safety.faults.flight import SETTINGS, Fault, Flight
 from tests.safety.faults.matrix import FAULTS
 from tests.safety.faults.rules import APPROACH, EVERY, HOLD, STALL, Rule, Sent, Step, judge
@@ -190,3 +194,24 @@ def test_the_table_merges_what_came_to_the_same(capsys: pytest.CaptureFixture[st
     table = report.rows(FAULTS, [bad])
     assert "BROKEN" in report.markdown(table, "")
     assert "seed 1, approach" in table[0].broken[0]
+
+
+def test_the_command_flies_on_several_cores(tmp_path: Path) -> None:
+    words = [
+        "--only",
+        "range-loss",
+        "--phase",
+        "approach",
+        "--seeds",
+        "2",
+        "--jobs",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
+    command = [sys.executable, "-m", "tests.safety.faults", *words]
+    ended = subprocess.run(
+        command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=100
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "every rule held" in ended.stdout

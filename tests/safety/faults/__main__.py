@@ -7,8 +7,6 @@ import itertools
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from time import monotonic
 
@@ -16,7 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from tests.safety.faults import report, wire
-from tests.safety.faults.flight import Flight, Outcome
+from tests.safety.faults.batch import Flown, flights, fly_all
+from tests.safety.faults.flight import Outcome
 from tests.safety.faults.matrix import FAULTS
 from tests.safety.faults.rules import EVERY
 from tests.safety.faults.wire import WIRE
@@ -32,36 +31,6 @@ examples:
   python -m tests.safety.faults --phase approach --seeds 50       one phase, many seeds
   python -m tests.safety.faults --only wire/kill-9 wire/sigstop   real processes
 exit status: 0 every rule held, 1 a rule was broken, 2 wrong command line"""
-
-Flown = tuple[str, int, int]
-"""A flight to make: fault, number of the phase, seed. (Phases themselves do not travel between processes.)"""
-
-
-def fly(flown: Flown) -> Outcome:
-    """Make one flight."""
-    name, number, seed = flown
-    return Flight(FAULTS[name], EVERY[number], seed).fly()
-
-
-def flights(names: Sequence[str], phases: Sequence[str], seeds: Sequence[int]) -> list[Flown]:
-    """Every flight of the matrix, or of a part of it."""
-    return [
-        (name, number, seed)
-        for name in names
-        for number, phase in enumerate(EVERY)
-        if phase in FAULTS[name].rules and phase.value in phases
-        for seed in seeds
-    ]
-
-
-def fly_all(todo: list[Flown], jobs: int) -> Iterator[Outcome]:
-    """Make the flights, on several cores; the order and the results do not depend on how many."""
-    if jobs <= 1:
-        yield from map(fly, todo)
-        return
-    with ProcessPoolExecutor(jobs, get_context("forkserver")) as pool:
-        yield from pool.map(fly, todo, chunksize=8)
-
 
 KNOWN: Mapping[str, report.Described] = {**FAULTS, **WIRE}
 """Every fault, in the order of the table."""
