@@ -37,10 +37,10 @@ class Step(NamedTuple):
 
 def wrap(angle_rad: float) -> float:
     """Bring an angle into (−π, π]. (The [0, 2π) of Eq. (36) would tear the feedback apart at θ = 0.)"""
-    turned = math.fmod(angle_rad, TWO_PI)  # exact, as are the sums below: no rounding beyond the bounds
-    if turned > math.pi:
-        return turned - TWO_PI
-    return turned if turned > -math.pi else turned + TWO_PI
+    if -math.pi < angle_rad <= math.pi:
+        return angle_rad
+    turned = angle_rad - TWO_PI * math.ceil((angle_rad - math.pi) / TWO_PI)
+    return turned if abs(turned) < math.pi else math.pi  # which rounding may have passed
 
 
 def clip(value: float, bound: float) -> float:

@@ -28,6 +28,13 @@ def test_wrap_takes_pi_and_not_minus_pi() -> None:
     assert model.wrap(-math.pi) == math.pi
 
 
+@pytest.mark.parametrize(
+    "angle", [math.nextafter(turns * math.pi, to) for turns in range(-9, 10, 2) for to in (-99, 99)]
+)
+def test_wrap_never_leaves_its_bounds_by_rounding(angle: float) -> None:
+    assert -math.pi < model.wrap(angle) <= math.pi
+
+
 @given(d=st.floats(0.0, 50.0), theta=ANGLES, v=SPEEDS, w=SPEEDS, omega=st.floats(-2.0, 2.0))
 def test_the_lift_flows_as_the_vehicle_moves(
     d: float, theta: float, v: float, w: float, omega: float
