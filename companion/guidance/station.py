@@ -43,8 +43,9 @@ KEEP_AFTER_S = 10.0
 """A map is not kept sooner: an early fit may be a wrong one that is sure of itself."""
 PATIENCE_S = 5.0
 """After this long without enough beacons that is told as a problem."""
-LOOKS, FITS = 3, 18
-"""A step of the search looks for so many beacons, or fits so many beacons' places, to bound its time."""
+LOOKS, PLACES = 3, 45
+"""A step of the search looks for so many beacons, or improves so many beacons' places (at most, but for one
+round over all of them), to bound its time."""
 
 
 class Mode(IntEnum):
@@ -271,7 +272,7 @@ def _search(p: Parameters, s: Station) -> Station:
     """Fit again and again while turning, until the station is known well enough to fly to it."""
     if s.t < 0.5 * p.keeping.probe_turn_s:
         return s
-    s = _advance(p, s, LOOKS, max(1, FITS // len(s.beacons)))
+    s = _advance(p, s, LOOKS)
     if not s.search.is_done:
         return s
     best, gap = station_search.result(s.search)
@@ -285,8 +286,8 @@ def _search(p: Parameters, s: Station) -> Station:
     return replace(_adopt(s, best), mode=Mode.FOLLOW, t_refit=0.0)
 
 
-def _advance(p: Parameters, s: Station, looks: int, fits: int) -> Station:
-    """Go on with the search: look for so many beacons, or fit from so many starts."""
+def _advance(p: Parameters, s: Station, looks: int) -> Station:
+    """Go on with the search: look for so many beacons, or list the starts, or fit from some of them."""
     search = s.search
     n = len(s.beacons)
     if search.looked < n:
@@ -301,9 +302,10 @@ def _advance(p: Parameters, s: Station, looks: int, fits: int) -> Station:
     if len(search.candidates) < BEACONS_NEEDED:
         return replace(s, search=station_search.NEW)
     if not search.starts:
-        search = station_search.plan(search)
-    for _ in range(min(fits, len(search.starts) - len(search.fits))):
-        search = station_search.attempt(search, p.keeping.drift_sigma_m_s)
+        return replace(s, search=station_search.plan(search))
+    for _ in range(max(1, PLACES // n)):
+        if not search.is_done:
+            search = station_search.attempt(search, p.keeping.drift_sigma_m_s)
     return replace(s, search=search)
 
 
@@ -317,24 +319,33 @@ def _adopt(s: Station, fit: Fit) -> Station:
     return replace(s, at=fit.at, beacons=tuple(beacons), search=station_search.NEW)
 
 
+def _present(s: Station) -> station_search.Start:
+    """The fit that is flown by, to be held against those of the search on the same data."""
+    places = []
+    for c in s.search.candidates:
+        b = s.beacons[c.number]
+        places.append(station_fit.place(b.block, s.at.u) if b.located else (c.modes.bx, c.modes.by))
+    return station_search.Start(s.at.u, tuple(places))
+
+
 def _follow(p: Parameters, s: Station) -> Station:
     """Improve the fit; now and then look for a better one elsewhere; keep the map once it is good enough."""
     at = station_fit.solve([b.block for b in s.beacons], p.keeping.drift_sigma_m_s)
     s = replace(s, at=at)
     if s.t < s.t_refit:
         return s
-    s = _advance(p, s, 1, 1)
-    if not s.search.is_done:
-        return s
-    best, gap = station_search.result(s.search)
-    places = []
-    for c in s.search.candidates:
-        b = s.beacons[c.number]
-        places.append(station_fit.place(b.block, at.u) if b.located else (c.modes.bx, c.modes.by))
-    now = station_search.again(s.search, at.u, places, p.keeping.drift_sigma_m_s)
-    moves = best.cost < now.cost - 1.0
-    taken = best if moves else now
-    image = station_search.image(s.search, taken, p.keeping.drift_sigma_m_s)
+    search = s.search
+    if not search.is_done:
+        return _advance(p, s, 1)
+    more = len(search.fits) - search.planned
+    if more == 0:
+        return replace(s, search=station_search.also(search, _present(s)))
+    best, gap = station_search.result(search)
+    now = search.fits[search.planned]
+    taken = best if best.cost < now.cost - 1.0 else now
+    if more == 1:
+        return replace(s, search=station_search.also(search, station_search.image(taken)))
+    image = search.fits[-1]
     s = replace(_adopt(s, taken), t_refit=s.t + p.keeping.refit_s)
     known = _knowledge(s)
     sigma_m = math.hypot(known.sigma_d_m, known.sigma_theta_rad * max(known.d_m, 0.3))

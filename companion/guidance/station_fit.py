@@ -358,23 +358,17 @@ class Fit(NamedTuple):
 def refine(
     moments: Sequence[Moments], distances: Sequence[float], u: Common,
     beacons: Sequence[tuple[float, float]],
-    drift_sigma: float, rounds: int,
+    drift_sigma: float,
 ) -> Fit:  # fmt: skip
-    """Gauss-Newton from a guess."""
-    places = list(beacons)
-    at = Solution(u, *(0.0,) * 10)
-    cost = math.inf
-    for _ in range(rounds):
-        blocks = []
-        for i, m in enumerate(moments):
-            blocks.append(linearise(m, at.u, *places[i], distances[i]))
-        cost = sum(b.cost for b in blocks)
-        cost += 0.5 * (at.u.wx * at.u.wx + at.u.wy * at.u.wy) / (drift_sigma * drift_sigma)
-        at = solve(blocks, drift_sigma)
-        places = [place(b, at.u) for b in blocks]
-        if not all(abs(x) < FAR_M and abs(y) < FAR_M for x, y in (*places, (at.u.px, at.u.py))):
-            return Fit(math.inf, at, tuple(places))
-    return Fit(cost, at, tuple(places))
+    """One Gauss-Newton step from a guess. The cost is that of the guess; infinite, the step runs away."""
+    blocks = [linearise(m, u, *beacons[i], distances[i]) for i, m in enumerate(moments)]
+    cost = sum(b.cost for b in blocks)
+    cost += 0.5 * (u.wx * u.wx + u.wy * u.wy) / (drift_sigma * drift_sigma)
+    at = solve(blocks, drift_sigma)
+    places = tuple([place(b, at.u) for b in blocks])
+    if not all(abs(x) < FAR_M and abs(y) < FAR_M for x, y in (*places, (at.u.px, at.u.py))):
+        cost = math.inf
+    return Fit(cost, at, places)
 
 
 class Shape(NamedTuple):

@@ -25,7 +25,9 @@ from companion.guidance.station_fit import (
 RING = 24
 """Bearings tried at which a beacon may stand."""
 ROUNDS = 6
-"""Gauss-Newton steps from each start."""
+"""Gauss-Newton steps from each start at most."""
+SETTLED_M = 1e-3
+"""A fit whose station moves by less in a step has found its optimum."""
 UNLIKELY = 20.0
 """A hypothesis that costs this much more (half a χ²) is not followed."""
 FLIPS = 3
@@ -132,20 +134,26 @@ class Candidate(NamedTuple):
 
 
 class Start(NamedTuple):
-    """A station and places of the beacons to begin from."""
+    """A station with its drift, and places of the beacons, to begin from."""
 
-    px: float
-    py: float
+    u: Common
     beacons: tuple[tuple[float, float], ...]
 
 
 class Search(NamedTuple):
-    """How far a search has come: candidates first (`looked` beacons so far), then fits from all starts."""
+    """How far a search has come: candidates first (`looked` beacons so far), then fits from all starts.
+
+    The first `planned` starts are those of the search itself. `trial` is the fit under way, after `rounds`
+    Gauss-Newton steps.
+    """
 
     looked: int
     candidates: tuple[Candidate, ...]
-    starts: tuple[Start, ...]
-    fits: tuple[Fit, ...]
+    starts: tuple[Start, ...] = ()
+    planned: int = 0
+    fits: tuple[Fit, ...] = ()
+    trial: Fit | None = None
+    rounds: int = 0
 
     @property
     def is_done(self) -> bool:
@@ -153,13 +161,13 @@ class Search(NamedTuple):
         return 0 < len(self.starts) == len(self.fits)
 
 
-NEW = Search(0, (), (), ())
+NEW = Search(0, ())
 
 
 def look(search: Search, found: Candidate | None) -> Search:
     """One more beacon has been looked at, or had nothing to show."""
     candidates = search.candidates if found is None else (*search.candidates, found)
-    return Search(search.looked + 1, candidates, (), ())
+    return Search(search.looked + 1, candidates)
 
 
 def plan(search: Search) -> Search:
@@ -170,39 +178,39 @@ def plan(search: Search) -> Search:
     starts = []
     distances = [c.distance for c in search.candidates]
     for beacons in combinations([c.modes for c in search.candidates]):
-        starts += [Start(px, py, tuple(beacons)) for px, py in stations(beacons, distances)]
-    return Search(search.looked, search.candidates, tuple(starts), ())
+        for px, py in stations(beacons, distances):
+            starts.append(Start(Common(px, py, 0.0, 0.0), tuple(beacons)))
+    return Search(search.looked, search.candidates, tuple(starts), len(starts))
 
 
 def attempt(search: Search, drift_sigma: float) -> Search:
-    """Fit from the next start."""
-    start = search.starts[len(search.fits)]
-    return Search(
-        search.looked,
-        search.candidates,
-        search.starts,
-        (*search.fits, again(search, Common(start.px, start.py, 0.0, 0.0), start.beacons, drift_sigma)),
-    )
-
-
-def again(search: Search, u: Common, beacons: Sequence[tuple[float, float]], drift_sigma: float) -> Fit:
-    """Fit the candidates from a given start."""
+    """One more Gauss-Newton step from the start in turn."""
+    start, trial = search.starts[len(search.fits)], search.trial
+    u, beacons = start if trial is None else (trial.at.u, trial.beacons)
     moments = [c.moments for c in search.candidates]
-    return refine(moments, [c.distance for c in search.candidates], u, beacons, drift_sigma, ROUNDS)
+    fit = refine(moments, [c.distance for c in search.candidates], u, beacons, drift_sigma)
+    moved_m = math.hypot(fit.at.u.px - u.px, fit.at.u.py - u.py)
+    if search.rounds + 1 == ROUNDS or moved_m < SETTLED_M or fit.cost == math.inf:
+        return search._replace(fits=(*search.fits, fit), trial=None, rounds=0)
+    return search._replace(trial=fit, rounds=search.rounds + 1)
 
 
-def image(search: Search, of: Fit, drift_sigma: float) -> Fit:
-    """The fit with the station on the other side of the line through the beacons; it costs the same where
-    they lie in one."""
+def also(search: Search, start: Start) -> Search:
+    """Try one more start, on the same data."""
+    return search._replace(starts=(*search.starts, start))
+
+
+def image(of: Fit) -> Start:
+    """The station on the other side of the line through the beacons; it costs the same where they lie in
+    one."""
     u, line = of.at.u, shape(of.beacons)
     off = 2.0 * ((u.px - line.x) * line.uy - (u.py - line.y) * line.ux)
-    mirrored = Common(u.px - off * line.uy, u.py + off * line.ux, u.wx, u.wy)
-    return again(search, mirrored, of.beacons, drift_sigma)
+    return Start(Common(u.px - off * line.uy, u.py + off * line.ux, u.wx, u.wy), of.beacons)
 
 
 def result(search: Search) -> tuple[Fit, float]:
     """The best fit, and how much more the next best *other* station costs (half a χ²; infinite: none)."""
-    fits = sorted(search.fits, key=_cost)
+    fits = sorted(search.fits[: search.planned], key=_cost)
     best = fits[0]
     for other in fits[1:]:
         if math.hypot(other.at.u.px - best.at.u.px, other.at.u.py - best.at.u.py) > APART_M:

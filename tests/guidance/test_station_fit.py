@@ -61,7 +61,6 @@ def test_the_fit_finds_station_beacons_and_drift() -> None:
     while not search.is_done:
         search = station_search.attempt(search, 0.15)
     best, gap = station_search.result(search)
-    best = station_search.again(search, best.at.u, best.beacons, 0.15)
     assert best.at.u[:2] == pytest.approx(station, abs=0.1)
     assert best.at.u[2:] == pytest.approx((wx, wy), abs=0.02)
     assert gap > station_search.UNLIKELY
