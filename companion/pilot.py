@@ -137,9 +137,11 @@ def _verdict(s: State, e: RangeSample) -> RangeVerdict:
 
 
 def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
-    after, condition = phase.step(s.phase, _facts(p, s, t_ns))
+    facts = _facts(p, s, t_ns)
+    after, condition = phase.step(s.phase, facts)
     if condition is None:
-        return s, None
+        is_stale = s.phase is Phase.STALL and facts.ranges in (Ranges.STALE, Ranges.LOST)
+        return (_forgetting(p, s) if is_stale and s.steering.command is not STANDSTILL else s), None
     reason = reasons.reason(p, s, after, condition, t_ns)
     severity = phase.severity(after, condition)
     change = PhaseChange(t_ns=t_ns, before=s.phase, after=after, reason=reason, severity=severity)
@@ -168,12 +170,7 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
             flight=replace(s.flight, was_engaged=True, captured=False, t_engaged_ns=t_ns, engaged_s=0.0),
         )
     if condition is Condition.RANGES_STALE:
-        # Stale knowledge does not steer again: the bearing is acquired anew.
-        return replace(
-            s,
-            observing=replace(s.observing, guidance=p.scheme.initial(p.scheme.p)),
-            steering=replace(s.steering, command=STANDSTILL),
-        )
+        return _forgetting(p, s)
     if after is Phase.STALL:
         # critical: the first setpoint after it would be what was commanded before it
         stand = Command(0.0, 0.0, s.steering.command.purpose)
@@ -183,6 +180,18 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
     if after in (Phase.HOLD, Phase.KEEP):
         return replace(s, flight=replace(s.flight, captured=True))
     return s
+
+
+def _forgetting(p: Plan, s: State) -> State:
+    """Stale knowledge does not steer again, whatever the standstill began with: the bearing is acquired anew.
+
+    The command that this leaves says that it was done.
+    """
+    return replace(
+        s,
+        observing=replace(s.observing, guidance=p.scheme.initial(p.scheme.p)),
+        steering=replace(s.steering, command=STANDSTILL),
+    )
 
 
 _GROUNDED = frozenset({Landed.ON_GROUND})

@@ -174,6 +174,20 @@ def test_ranges_that_come_back_lead_through_acquisition() -> None:
     assert changes[0] is Phase.ACQUIRE
 
 
+@pytest.mark.parametrize("began_with", ["ranges", "heading"])
+def test_what_was_known_before_a_long_gap_does_not_steer_after_it(began_with: str) -> None:
+    """Whatever the standstill began with: an uncertain bearing, or a heading that did not come."""
+    script = Script()
+    before = fly(script.run(1.0), before=engaged(script))
+    script.tells_attitude = began_with == "ranges"
+    script.range_m = None if began_with == "ranges" else 10.0
+    standing = fly(script.run(1.0), before=before)
+    assert standing.state.phase is Phase.STALL
+    assert last_status(standing).estimate is not None  # a short gap is bridged by what is known
+    script.tells_attitude, script.range_m = True, None
+    assert last_status(fly(script.run(5.0), before=standing)).estimate is None
+
+
 def test_without_a_heading_it_stands_still_and_without_a_vehicle_it_is_silent() -> None:
     script = Script()
     before = engaged(script)
