@@ -134,6 +134,7 @@ def can_fly(cfg: VehicleSettings, e: EstimatorReport) -> bool:
 
 
 WITHOUT = {
+    "HEARTBEAT": "Nothing is known of the vehicle.",
     "ATTITUDE": "Without a heading the app stands still.",
     "LOCAL_POSITION_NED": "Speed and height are not known.",
     "CURRENT_MODE": "The mode is then known by HEARTBEAT only, up to 1 s late, and the intended mode not "

@@ -70,6 +70,7 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     if verdict is not Verdict.ACCEPTED:
         return _reject(replace(s, ranging=r), verdict)
     o = predict(p, s, e.t_ns)
+    # an old height too: it is nearer than the configured one, and only corrects the slant
     height_m = cfg.height_m if s.vehicle.height_m is None else s.vehicle.height_m
     guidance = p.scheme.update(
         p.scheme.p,
@@ -160,7 +161,7 @@ def _on_clock_back(s: State, e: Attitude) -> State:
     times = s.health.clock_back + 1
     if times < _CLOCK_BACK_TIMES:
         return replace(s, health=replace(s.health, clock_back=times))
-    v = Vehicle(t_link_ns=s.vehicle.t_link_ns, armed=s.vehicle.armed)
+    v = Vehicle(t_link_ns=s.vehicle.t_link_ns, t_beat_ns=s.vehicle.t_beat_ns, armed=s.vehicle.armed)
     return replace(
         s,
         vehicle=veh.on_attitude(v, e),

@@ -310,6 +310,7 @@ def _setpoint(p: Plan, s: State, t_ns: int) -> tuple[State, Setpoint]:
         height_m=hold_m if cfg.setpoint_frame == "local_ned" else None,
         climb_m_s=climb_m_s,
     )
+    # an old height too: what was held outside the band is not left because nobody tells it any more
     state, setpoint = limits.apply(p.settings.limits, g.limits, wanted, v.height_m)
     t_allowed_ns = max(g.t_allowed_ns, t_ns) + int(1e9 / p.settings.stream.max_rate_hz)
     return replace(

@@ -48,7 +48,10 @@ def _unfit(p: Plan, s: State, t_ns: int) -> Iterator[str]:
         yield f"the end of {c.party.value} ({c.message} from {ids}): stop the other one"
     if company is Company.OTHER_VEHICLE and h.other_vehicle is not None:
         other = h.other_vehicle.system_id
-        yield f"the choice of an autopilot: system {other} is heard as well; set vehicle.target_system"
+        yield (
+            f"the choice of an autopilot: system {other} is heard as well; set vehicle.target_system, and "
+            "give each vehicle an id of its own"
+        )
     e = fresh_estimator(h, t_ns)
     if e is not None:
         lacks = shortfalls(cfg.vehicle, cfg.loss.hand_over_to, e)

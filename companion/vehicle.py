@@ -11,6 +11,8 @@ from companion.types import Attitude, FlightMode, Landed, LocalMotion, ModeRepor
 
 _MODE_REPORT_FRESH_NS = 1_500_000_000
 """While CURRENT_MODE comes, the mode in HEARTBEAT (up to a second late) is not looked at."""
+_ARMED_KNOWN_NS = 10_000_000_000
+"""HEARTBEAT alone tells whether the vehicle is armed. On a bad link many are lost, but not so many."""
 _MOTION_FRESH_NS = 300_000_000
 """An older velocity is no longer taken for the present one."""
 
@@ -19,6 +21,8 @@ class Vehicle(msgspec.Struct, frozen=True, gc=False):
     """The last word of each kind. Times are None until something came."""
 
     t_link_ns: int | None = None
+    """When it was there for certain: a HEARTBEAT, or a mode while those come."""
+    t_beat_ns: int | None = None
     t_mode_ns: int | None = None
     actual: FlightMode | None = None
     intended: FlightMode | None = None
@@ -48,13 +52,15 @@ class BodyMotion(msgspec.Struct, frozen=True, gc=False):
 def on_heartbeat(v: Vehicle, e: VehicleHeartbeat) -> Vehicle:
     """HEARTBEAT: armed or not; the mode only where CURRENT_MODE does not tell it better."""
     if v.t_mode_ns is not None and e.t_ns - v.t_mode_ns < _MODE_REPORT_FRESH_NS:
-        return replace(v, t_link_ns=e.t_ns, armed=e.armed)
-    return replace(v, t_link_ns=e.t_ns, armed=e.armed, actual=e.mode, intended=None)
+        return replace(v, t_link_ns=e.t_ns, t_beat_ns=e.t_ns, armed=e.armed)
+    return replace(v, t_link_ns=e.t_ns, t_beat_ns=e.t_ns, armed=e.armed, actual=e.mode, intended=None)
 
 
 def on_mode(v: Vehicle, e: ModeReport) -> Vehicle:
     """CURRENT_MODE: the one message that the mode is believed from."""
-    return replace(v, t_link_ns=e.t_ns, t_mode_ns=e.t_ns, actual=e.actual, intended=e.intended)
+    is_beating = v.t_beat_ns is not None and e.t_ns - v.t_beat_ns < _ARMED_KNOWN_NS
+    t_link_ns = e.t_ns if is_beating else v.t_link_ns
+    return replace(v, t_link_ns=t_link_ns, t_mode_ns=e.t_ns, actual=e.actual, intended=e.intended)
 
 
 def on_attitude(v: Vehicle, e: Attitude) -> Vehicle:

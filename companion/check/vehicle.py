@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from companion.check import ardupilot, parameters
 from companion.check.report import Part, Row, State, never_came
 from companion.health import WITHOUT, shortfalls
+from companion.link.modes import wanted_rates
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
-from companion.link.survey import VehicleFindings, wanted_rates
+from companion.link.survey import VehicleFindings
 from companion.settings import Settings
 from companion.types import Charge, FlightMode, Landed
 
@@ -119,14 +120,14 @@ def _others(settings: Settings, found: VehicleFindings) -> Iterator[Row]:
                 "Two streams of setpoints would mix.",
                 "stop the other one, or change vehicle.component_id",
             )
-        elif o.component == 1 and not settings.vehicle.target_system:
+        elif o.component == 1 and settings.vehicle.target_system in (0, o.system):
             yield Row(
                 Part.LINK,
                 "second vehicle",
                 State.WARN,
                 f"{who} besides system {found.system_id}",
                 "The first autopilot heard is flown, and that may be either.",
-                "set vehicle.target_system",
+                "set vehicle.target_system, and give each vehicle an id of its own",
             )
 
 

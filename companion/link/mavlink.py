@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,9 +17,9 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.decode import WORDS, decoders, heading_from_yaw
 from companion.link.ground_station import GroundStation
-from companion.link.modes import DIALECTS
+from companion.link.modes import DIALECTS, message_id, wanted_rates
 from companion.link.signing import REFUSALS, SignedMavlink, is_signed
-from companion.link.transport import Transport, open_transport
+from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
 from companion.settings import VehicleSettings
 from companion.types import (
     CompanionHeartbeat,
@@ -51,7 +52,6 @@ _STEERING = frozenset(
 )
 """Setpoints: whoever sends these to our vehicle flies it."""
 
-_LANDED_RATE_HZ = 5.0
 _TURN_NS = 20_000_000
 """So long is read at a time."""
 
@@ -82,13 +82,11 @@ class VehicleLink:
         self._target_system = settings.target_system
         self._dialect = DIALECTS[settings.kind]
         self._decoders = decoders(self._dialect)
-        self._wanted_hz = self._dialect.rates_hz | {
-            mavlink.MAVLINK_MSG_ID_ATTITUDE: settings.telemetry_rate_hz,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: settings.telemetry_rate_hz,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_RATE_HZ,
-        }
+        self._wanted_hz = {message_id(name): hz for name, hz in wanted_rates(settings).items()}
         self._counts = dict.fromkeys(self._wanted_hz, 0)
         self._t_counted_ns = 0
+        self._is_from_peer = False
+        self._sent: deque[bytes] = deque(maxlen=ECHOES)
 
     @classmethod
     def open(
@@ -116,6 +114,7 @@ class VehicleLink:
         began_ns = t_ns = clock()
         while t_ns - began_ns < _TURN_NS and (data := self._transport.receive()):
             t_ns = clock()
+            self._is_from_peer = is_from_peer(self._transport, t_ns)
             for message in self._mav.parse_buffer(data) or ():
                 event = self._event(message, t_ns)
                 if event is not None:
@@ -129,12 +128,16 @@ class VehicleLink:
         system, component = m.get_srcSystem(), m.get_srcComponent()
         if component != mavlink.MAV_COMP_ID_AUTOPILOT1 or self._target_system not in (0, system):
             return self._party(m, kind, t_ns)
+        if self._is_signing and kind in _SIGNED_ONLY and not is_signed(m):
+            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_SIGNATURE, detail=f"{kind} not signed")
+        if kind == "HEARTBEAT" and m.autopilot == self._dialect.vendor:
+            self._is_from_peer = settle(self._transport, t_ns)
+        if not self._is_from_peer:  # critical: our id from another address is another vehicle, or a lie
+            return self._party(m, kind, t_ns)
         decode = self._decoders.get(kind)
         if decode is None:
             words = WORDS.get(kind)
             return None if words is None or self._target_system == 0 else words(m, t_ns)
-        if self._is_signing and kind in _SIGNED_ONLY and not is_signed(m):
-            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_SIGNATURE, detail=f"{kind} not signed")
         if self._target_system == 0:
             if kind != "HEARTBEAT":
                 return None
@@ -159,10 +162,12 @@ class VehicleLink:
         party = None
         if self._is_signing and not is_signed(m):
             return None
+        if component == self._settings.component_id and bytes(m.get_msgbuf()) in self._sent:
+            return None  # a bridge sends back what this app has sent
         if kind == "HEARTBEAT":
             if (system, component) == (ours, self._settings.component_id):
                 party = Party.TWIN
-            elif component == mavlink.MAV_COMP_ID_AUTOPILOT1 and not self._settings.target_system:
+            elif component == mavlink.MAV_COMP_ID_AUTOPILOT1 and self._settings.target_system in (0, system):
                 party = Party.AUTOPILOT if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID else None
         elif kind in _STEERING and ours and m.target_system in (0, ours):
             party = Party.COMMANDER
@@ -182,11 +187,11 @@ class VehicleLink:
         since_s = (t_ns - self._t_counted_ns) * 1e-9
         if since_s < 0.5:
             return
-        for message_id, wanted_hz in self._wanted_hz.items():
-            rate_hz = self._counts[message_id] / since_s
+        for number, wanted_hz in self._wanted_hz.items():
+            rate_hz = self._counts[number] / since_s
             if not 0.7 * wanted_hz <= rate_hz <= 1.5 * wanted_hz:
-                self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / wanted_hz)
-            self._counts[message_id] = 0
+                self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / wanted_hz)
+            self._counts[number] = 0
         self._t_counted_ns = t_ns
 
     # ----------------------------------------------------------------------------------------- sending
@@ -223,9 +228,10 @@ class VehicleLink:
     def _send(self, message: Any) -> None:
         if self._heartbeat_only and message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return  # critical: every message passes here
-        data = message.pack(self._mav)
+        data = bytes(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256  # pack() does not
-        self._transport.send(bytes(data))
+        self._sent.append(data)
+        self._transport.send(data)
 
 
 def setpoint_message(s: Setpoint, target_system: int) -> Any:

@@ -1,4 +1,4 @@
-"""Flight modes as autopilots number them."""
+"""Flight modes as autopilots number them, and the telemetry that a flight asks for."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.settings import VehicleSettings
 from companion.types import FlightMode
 
 _PX4_MODES = {
@@ -77,19 +78,36 @@ class Dialect(NamedTuple):
     """custom_mode → mode."""
     request: Callable[[FlightMode], tuple[float, ...]]
     """Mode → the parameters of MAV_CMD_DO_SET_MODE."""
-    rates_hz: dict[int, float]
+    rates_hz: dict[str, float]
     """Messages that tell the mode, and how often they are asked for."""
 
 
 DIALECTS = {
-    "px4": Dialect(
-        mavlink.MAV_AUTOPILOT_PX4, px4_mode, _px4_parameters, {mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 20.0}
-    ),
+    "px4": Dialect(mavlink.MAV_AUTOPILOT_PX4, px4_mode, _px4_parameters, {"CURRENT_MODE": 20.0}),
     "ardupilot": Dialect(
         mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
         ardupilot_mode,
         _ardupilot_parameters,
-        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 5.0},
+        {"HEARTBEAT": 5.0},
     ),
 }
 """By `vehicle.kind`."""
+
+_LANDED_RATE_HZ = 5.0
+
+
+def wanted_rates(settings: VehicleSettings) -> dict[str, float]:
+    """The messages that a flight asks for by name, and how often, Hz: what `companion check` judges too."""
+    hz = settings.telemetry_rate_hz
+    return {
+        "ATTITUDE": hz,
+        "LOCAL_POSITION_NED": hz,
+        **DIALECTS[settings.kind].rates_hz,
+        "EXTENDED_SYS_STATE": _LANDED_RATE_HZ,
+    }
+
+
+def message_id(name: str) -> int:
+    """A message's number."""
+    number: int = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+    return number

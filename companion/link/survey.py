@@ -9,6 +9,7 @@ import math
 import re
 import struct
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -17,9 +18,9 @@ import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link import decode
-from companion.link.modes import ardupilot_mode, px4_mode
+from companion.link.modes import ardupilot_mode, message_id, px4_mode, wanted_rates
 from companion.link.signing import REFUSALS, SignedMavlink
-from companion.link.transport import Transport, open_transport
+from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
 from companion.link.zenoh_ranges import RangeLink
 from companion.network_settings import RangesSettings
 from companion.settings import VehicleSettings
@@ -37,20 +38,10 @@ _ASK_AGAIN_NS = 500_000_000
 _HEARTBEAT_NS = 1_000_000_000
 _SIGNED_FLAG = 1
 
-STREAMED = ("ATTITUDE", "LOCAL_POSITION_NED", "CURRENT_MODE", "EXTENDED_SYS_STATE")
 REQUESTED = ("AUTOPILOT_VERSION", "SYS_STATUS", "BATTERY_STATUS", "ESTIMATOR_STATUS")
 
 
-def wanted_rates(settings: VehicleSettings) -> dict[str, float]:
-    """The streams of a flight and the rates that it asks for, Hz."""
-    rate = settings.telemetry_rate_hz
-    rates = dict(zip(STREAMED, (rate, rate, 20.0, 5.0), strict=True))
-    if settings.kind == "ardupilot":  # its mode is in HEARTBEAT
-        del rates["CURRENT_MODE"]
-    return rates
-
-
-class Health(NamedTuple):
+class SysStatus(NamedTuple):
     """SYS_STATUS: would it arm, which sensors are not well, is there a radio control."""
 
     may_arm: bool
@@ -94,7 +85,7 @@ class VehicleFindings:
     landed: Landed | None = None
     height_m: float | None = None
     estimator: EstimatorReport | None = None
-    health: Health | None = None
+    health: SysStatus | None = None
     charge: Charge | None = None
     battery_share: float | None = None
     battery_v: float | None = None
@@ -119,11 +110,13 @@ class VehicleSurvey:
         self._mav = signed or mavlink.MAVLink(None, srcSystem=1, srcComponent=settings.component_id)
         self._mav.robust_parsing = True
         self._wanted_hz = wanted_rates(settings)
-        self._arrivals: dict[str, list[int]] = {name: [] for name in STREAMED}
+        self._arrivals: dict[str, list[int]] = {name: [] for name in self._wanted_hz}
         self._seen: set[str] = set()
         self._sequence: int | None = None
         self._t_asked_ns = 0
         self._t_heartbeat_ns = 0
+        self._is_from_peer = False
+        self._sent: deque[bytes] = deque(maxlen=ECHOES)
         self.found = VehicleFindings()
 
     @classmethod
@@ -173,6 +166,7 @@ class VehicleSurvey:
         while data := self._transport.receive():
             self.found.bytes_received += len(data)
             t_ns = clock()
+            self._is_from_peer = is_from_peer(self._transport, t_ns)
             for message in self._mav.parse_buffer(data) or ():
                 self._take_in(message, t_ns)
 
@@ -193,15 +187,19 @@ class VehicleSurvey:
         if name.startswith("UNKNOWN"):
             return
         system, component = m.get_srcSystem(), m.get_srcComponent()
+        if component == self._settings.component_id and bytes(m.get_msgbuf()) in self._sent:
+            return  # a bridge sends back what was sent from here
         if name == "HEARTBEAT":
-            if not self._is_ours(m):
+            if self._is_ours(m):
+                self._is_from_peer = settle(self._transport, t_ns)
+            if not (self._is_ours(m) and self._is_from_peer):
                 kind = _word(mavlink.enums["MAV_TYPE"], m.type, "MAV_TYPE_")
                 f.others.add(Other(system, component, kind))
                 return
             if f.system_id is None:
                 f.system_id = self._mav.srcSystem = system
                 f.t_found_ns = t_ns
-        elif system != f.system_id or component != mavlink.MAV_COMP_ID_AUTOPILOT1:
+        elif (system, component) != (f.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1) or not self._is_from_peer:
             return
         self._count(m.get_seq())
         f.signs = f.signs or bool(m.get_header().incompat_flags & _SIGNED_FLAG)
@@ -249,10 +247,10 @@ class VehicleSurvey:
         self.measure(t_ns)
         for name, wanted_hz in self._wanted_hz.items():
             if not 0.7 * wanted_hz <= self.found.rates_hz[name] <= 1.5 * wanted_hz:
-                self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, _message_id(name), 1e6 / wanted_hz)
+                self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id(name), 1e6 / wanted_hz)
         for name in self._requested():
             if name not in self._seen:
-                self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, _message_id(name))
+                self._command(mavlink.MAV_CMD_REQUEST_MESSAGE, message_id(name))
         for name in (*self._parameters(), *(OPTIONAL_PARAMETERS if self.found.is_px4 else ())):
             if name not in self.found.parameters:
                 self._send(
@@ -270,9 +268,10 @@ class VehicleSurvey:
         )
 
     def _send(self, message: Any) -> None:
-        data = message.pack(self._mav)
+        data = bytes(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256  # pack() does not
-        self._transport.send(bytes(data))
+        self._sent.append(data)
+        self._transport.send(data)
 
 
 def open_ranges(settings: RangesSettings, wake: Callable[[], None]) -> RangeLink:
@@ -288,11 +287,6 @@ def open_ranges(settings: RangesSettings, wake: Callable[[], None]) -> RangeLink
 
 
 # -------------------------------------------------------------------------------------------- readers
-
-
-def _message_id(name: str) -> int:
-    number: int = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
-    return number
 
 
 def _word(names: Any, value: int, prefix: str) -> str:
@@ -336,7 +330,7 @@ def _sys_status(f: VehicleFindings, m: Any) -> None:
     present, health = m.onboard_control_sensors_present, m.onboard_control_sensors_health
     ill = present & m.onboard_control_sensors_enabled & ~health
     names = mavlink.enums["MAV_SYS_STATUS_SENSOR"]
-    f.health = Health(
+    f.health = SysStatus(
         may_arm=bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK),
         unhealthy=tuple(
             _word(names, 1 << bit, "MAV_SYS_STATUS_").removeprefix("sensor ")

@@ -10,10 +10,14 @@ import serial
 _DATAGRAM_BYTES = 65_535
 _RECEIVE_BUFFER_BYTES = 1 << 20
 """The kernel's default overflows at about 300 small packets, one second of a default PX4 link."""
+ECHOES = 256
+"""So many packets are known again where a bridge sends them back: a few seconds of them."""
+_PEER_GONE_NS = 2_000_000_000
+"""A vehicle that has been silent for so long may speak from another address (a router that was restarted)."""
 
 
 class Transport(Protocol):
-    """A link that can be waited on. Both calls never block; what cannot be sent is dropped."""
+    """A link that can be waited on. No call blocks; what cannot be sent is dropped."""
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
@@ -29,7 +33,11 @@ class Transport(Protocol):
 
 
 class Udp:
-    """A datagram socket; bound (`udpin`) it answers who spoke last, unbound (`udpout`) it knows its peer."""
+    """A datagram socket; unbound (`udpout`) it knows its peer, bound (`udpin`) it answers who spoke last.
+
+    Once it has settled on a peer nobody else is answered, until that one has been silent for a while: a
+    stranger's packet must not lead the setpoints astray.
+    """
 
     def __init__(self, bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -37,7 +45,10 @@ class Udp:
         if bind is not None:
             self._socket.bind(bind)
         self._socket.setblocking(False)
-        self._peer = peer
+        self._peer = None if peer is None else (socket.gethostbyname(peer[0]), peer[1])
+        self._answers_anybody = peer is None
+        self._source: tuple[str, int] | None = None
+        self._t_peer_ns: int | None = None
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
@@ -46,10 +57,27 @@ class Udp:
     def receive(self) -> bytes:
         """One datagram."""
         try:
-            data, self._peer = self._socket.recvfrom(_DATAGRAM_BYTES)
+            data, self._source = self._socket.recvfrom(_DATAGRAM_BYTES)
         except (BlockingIOError, ConnectionRefusedError):
             return b""
+        if self._answers_anybody:
+            self._peer = self._source
         return data
+
+    def is_from_peer(self, t_ns: int) -> bool:
+        """Whether the last datagram came from the peer's address."""
+        if self._source != self._peer:
+            return False
+        self._t_peer_ns = t_ns
+        return True
+
+    def settle(self, t_ns: int) -> bool:
+        """Make the last datagram's sender the peer, where it is none other's turn."""
+        is_taken = self._t_peer_ns is not None and t_ns - self._t_peer_ns < _PEER_GONE_NS
+        if self._source != self._peer and is_taken:
+            return False
+        self._peer, self._answers_anybody, self._t_peer_ns = self._source, False, t_ns
+        return True
 
     def send(self, data: bytes) -> None:
         """One datagram; nothing before a peer is known."""
@@ -122,6 +150,16 @@ class Serial:
     def close(self) -> None:
         """Give the port back."""
         self._port.close()
+
+
+def is_from_peer(transport: Transport, t_ns: int) -> bool:
+    """Whether what was received last came from where is sent to: anybody may send a datagram."""
+    return not isinstance(transport, Udp) or transport.is_from_peer(t_ns)
+
+
+def settle(transport: Transport, t_ns: int) -> bool:
+    """What was received last is the vehicle's: send there from now on. False: it is known to be elsewhere."""
+    return not isinstance(transport, Udp) or transport.settle(t_ns)
 
 
 _FORMS = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"

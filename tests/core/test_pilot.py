@@ -201,6 +201,16 @@ def test_without_a_heading_it_stands_still_and_without_a_vehicle_it_is_silent() 
     assert setpoints(gone)[-1].t_ns < (script.t_ms - 1500) * MS
 
 
+def test_without_heartbeats_the_mode_proves_the_vehicle_for_a_while_only() -> None:
+    """Whether it is armed is told by HEARTBEAT alone: an old word of that must not steer for ever."""
+    script = Script()
+    before = engaged(script)
+    script.tells_heartbeat = False
+    short = fly(script.run(8.0), before=before)
+    assert short.state.phase.is_engaged
+    assert fly(script.run(6.0), before=short).state.phase is Phase.RELEASED
+
+
 def test_what_was_commanded_before_a_standstill_does_not_leave_after_it() -> None:
     script = Script()
     before = engaged(script)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import select
 import socket
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -30,6 +31,8 @@ from companion.types import (
     Malformed,
     ModeReport,
     ModeRequest,
+    Party,
+    PartyHeard,
     Setpoint,
     SystemStatus,
     VehicleHeartbeat,
@@ -154,6 +157,61 @@ def test_a_ground_station_on_the_same_link_is_not_the_vehicle(
     (event,) = events
     assert isinstance(event, VehicleHeartbeat)
     assert event.system_id == 7
+
+
+def setpoint_reaches(link: VehicleLink, peer: Autopilot) -> bool:
+    """Whether a setpoint sent now is the next that this one hears, but for requests."""
+    link.send(Setpoint(5_000_000, 0.5, 0.3, 0.0, 3.0, 0.0))
+    while True:
+        ready, _, _ = select.select([peer.socket], [], [], 0.3)
+        if not ready:
+            return False
+        if peer.hear().get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+            return True
+
+
+def test_a_stranger_does_not_lead_the_setpoints_astray(link: VehicleLink, autopilot: Autopilot) -> None:
+    autopilot.heartbeat()
+    heard(link)
+    stranger = Autopilot(int(link._settings.mavlink.rsplit(":", 1)[1]))
+    try:
+        stranger.socket.send(b"anything")
+        heard(link)
+        stranger.say(mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+        assert not heard(link)
+        stranger.heartbeat(armed=False)
+        (told,) = heard(link)
+        assert isinstance(told, PartyHeard)
+        assert (told.party, told.system_id) == (Party.AUTOPILOT, 7)
+        assert not setpoint_reaches(link, stranger)
+        assert setpoint_reaches(link, autopilot)
+        later = time.monotonic_ns() + 3_000_000_000  # the vehicle has been silent for so long
+        stranger.heartbeat()
+        assert select.select([link], [], [], 5.0)[0]
+        assert isinstance(next(link.receive(lambda: later)), VehicleHeartbeat)
+        assert setpoint_reaches(link, stranger)
+    finally:
+        stranger.socket.close()
+
+
+def test_what_a_bridge_sends_back_is_no_second_companion(link: VehicleLink, autopilot: Autopilot) -> None:
+    autopilot.heartbeat()
+    heard(link)
+    link.send(CompanionHeartbeat(0, SystemStatus.ACTIVE))
+    link.send(Setpoint(5_000_000, 0.5, 0.3, 0.0, 3.0, 0.0))
+    for _ in range(6):  # four requests before them
+        autopilot.socket.send(autopilot.socket.recv(2048))
+    autopilot.heartbeat()
+    events: list[Event] = []
+    while not events:
+        events += heard(link)
+    (event,) = events
+    assert isinstance(event, VehicleHeartbeat)
+    autopilot.mav.srcSystem, autopilot.mav.srcComponent = 7, 191
+    autopilot.say(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+    (twin,) = heard(link)
+    assert isinstance(twin, PartyHeard)
+    assert twin.party is Party.TWIN
 
 
 def test_telemetry_is_asked_for_until_it_comes(link: VehicleLink, autopilot: Autopilot) -> None:

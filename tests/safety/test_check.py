@@ -12,9 +12,8 @@ import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.check import CheckReport, Row, State, check, text
-from companion.link.mavlink import VehicleLink
 from companion.link.signing import Key, SignedMavlink, Timestamps
-from companion.link.survey import VehicleSurvey, wanted_rates
+from companion.link.survey import VehicleSurvey
 from companion.network_settings import RangesSettings
 from companion.settings import LimitSettings, Settings, VehicleSettings
 from tests.safety.relay import Relay
@@ -254,10 +253,3 @@ def test_lost_packets_are_counted_by_the_gaps() -> None:
     survey.receive(lambda: 1)
     assert survey.found.packets == 201
     assert 98 <= survey.found.packets_lost <= 100
-
-
-def test_the_rates_that_are_judged_are_those_that_a_flight_asks_for() -> None:
-    settings = VehicleSettings(telemetry_rate_hz=40.0)
-    link = VehicleLink(settings, Wire())
-    by_name = {mavlink.mavlink_map[i].msgname: hz for i, hz in link._wanted_hz.items()}
-    assert by_name == wanted_rates(settings)

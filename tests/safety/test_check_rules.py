@@ -13,7 +13,7 @@ from companion.check.ranges import RangeFindings
 from companion.check.ranges import judge as judge_ranges
 from companion.check.report import CheckReport, Part, Row, State, text
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
-from companion.link.survey import Health, Other, VehicleFindings
+from companion.link.survey import Other, SysStatus, VehicleFindings
 from companion.network_settings import BeaconSettings, RangesSettings, Ros2Settings
 from companion.settings import MissionSettings, Settings, VehicleSettings
 from companion.types import (
@@ -32,7 +32,7 @@ from companion.types import (
 SETTINGS = Settings()
 GPS = EstimatorReport(0, velocity=True, position=True, height=True, global_position=True)
 NO_GPS = replace(GPS, global_position=False)
-WELL = Health(may_arm=True, unhealthy=(), remote_control=True)
+WELL = SysStatus(may_arm=True, unhealthy=(), remote_control=True)
 NO_RC = WELL._replace(remote_control=False)
 
 
@@ -110,18 +110,18 @@ BODY = Settings(vehicle=VehicleSettings(setpoint_frame="body_ned"))
         ({"armed": True}, "armed", State.WARN, "before arming"),
         ({"health": None}, "SYS_STATUS", State.WARN, "never came within 5.0 s"),
         (
-            {"health": Health(False, ("gps", "3d mag"), True)},
+            {"health": SysStatus(False, ("gps", "3d mag"), True)},
             "arming checks",
             State.FAIL,
             "gps, 3d mag",
         ),
         (
-            {"health": Health(False, (), True), "estimator": NO_GPS},
+            {"health": SysStatus(False, (), True), "estimator": NO_GPS},
             "arming checks",
             State.WARN,
             "in OFFBOARD only",
         ),
-        ({"health": Health(True, ("3d mag",), True)}, "arming checks", State.WARN, "3d mag"),
+        ({"health": SysStatus(True, ("3d mag",), True)}, "arming checks", State.WARN, "3d mag"),
         ({"health": NO_RC}, "radio control", State.WARN, "Nobody can take over with a switch"),
         ({"charge": Charge.CRITICAL, "battery_share": 0.05}, "battery", State.FAIL, "5 %, 16.2 V, critical"),
         ({"charge": Charge.LOW}, "battery", State.FAIL, "COM_LOW_BAT_ACT"),
@@ -179,7 +179,7 @@ def test_what_is_not_in_order_is_said_with_the_reason(
         ("MIS_TAKEOFF_ALT", None, WELL, State.WARN, "never came within 5.0 s"),
     ],
 )
-def test_parameters(name: str, value: float | None, health: Health, state: State, words: str) -> None:
+def test_parameters(name: str, value: float | None, health: SysStatus, state: State, words: str) -> None:
     found = row(judged(with_parameter(name, value, health=health)), name)
     assert found.state is state
     assert words in f"{found.found} {found.why} {found.do}"
