@@ -2,7 +2,7 @@
 
 Machines differ, and so do their neighbours: ours and the floor run in turn within minutes, and what counts
 are ratios. Of several turns the quietest counts, for either side. Both run with the precedence that
-config/companion.service gives to a flight (Nice=-10), where that is allowed.
+config/companion.service gives to a flight (SCHED_RR, priority 10), where that is allowed.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ from companion.link.zenoh_session import zenoh_config
 from companion.network_settings import RangesSettings
 from companion.wire_range import JSON, RangeMessage, encode, range_key
 
-NICE = -10
-"""As in config/companion.service."""
+PRIORITY = 10
+"""As in config/companion.service, of the policy SCHED_RR."""
 _BEACON_HEIGHT_M, _HEIGHT_M = 1.5, 3.0
 _STEP_NS = 20_000_000
 _LAG_S = 0.5
@@ -114,9 +114,12 @@ class Rig:
 
 
 def precede(pid: int = 0) -> bool:
-    """Give a process (0: this one) the precedence that config/companion.service gives; False: not allowed."""
+    """Give a process (0: this one) the precedence that config/companion.service gives; False: not allowed.
+
+    The threads that it starts from now on inherit it.
+    """
     try:
-        os.setpriority(os.PRIO_PROCESS, pid, NICE)
+        os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(PRIORITY))
     except PermissionError:
         return False
     return True
