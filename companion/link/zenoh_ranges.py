@@ -8,6 +8,7 @@ up everybody behind it (measured: 15,000 ranges of one in 0.4 s made another's 0
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -38,6 +39,10 @@ _ANSWERS = 64
 """Answers of beacons that wait, and beacons that are asked when they appear, at most."""
 _ASK_AGAIN_S = 1.0
 _ANSWER_S = 2.0
+_ASK_PACE_S = 5.0
+_MOST_ASKS = 60
+"""A beacon whose ranges come and that has not told of itself is asked again, at this pace and so many times:
+a question or its answer may be lost, and without its height it counts as being on the ground."""
 _TELL_NS = 100_000_000
 """A flood is told so often at most, so that telling it is no flood itself."""
 
@@ -55,6 +60,8 @@ class Door:
         self._raw: deque[Raw] = deque(maxlen=self._most)
         self._max_rate_hz = max_rate_hz * (_MANY if is_for_many else 1)
         self._allowance = float(self._most)
+        self.is_used = False
+        """Something has come since this was last set to False."""
         self._t_ns: int | None = None
         self._pushed_out = 0
         """Counted by Zenoh's thread alone."""
@@ -67,6 +74,7 @@ class Door:
         if len(self._raw) == self._most:
             self._pushed_out += 1  # the append below pushes the oldest out
         self._raw.append(raw)
+        self.is_used = True
 
     def receive(self, now_ns: int) -> Iterator[tuple[Raw, Callable[[Raw], Event]]]:
         """What has come since, as far as the rate allows: of more, the newest."""
@@ -112,6 +120,8 @@ class RangeLink:
         self._doors: list[Door] = []
         self._told: deque[Raw] = deque(maxlen=_ANSWERS)
         self._asked: dict[str, float] = {}
+        self._answered: set[str] = set()
+        self._closing = threading.Event()
         self._beacons = tuple(beacons)
         for beacon in self._beacons:
             key = wire_range.range_key(settings.site, beacon, settings.tag)
@@ -137,6 +147,27 @@ class RangeLink:
             ask = zenoh.handlers.Callback(partial(self._ask, session), indirect=True)
             session.liveliness().declare_subscriber(alive, ask, history=True)
             self._query(session, wire_range.info_key(self._settings.site, beacon))
+        if self._settings.ask_beacons:
+            threading.Thread(target=self._insist, args=(session,), name="zenoh-asker", daemon=True).start()
+
+    def _insist(self, session: zenoh.Session) -> None:
+        """Ask again, in a thread of its own, since a question is a call into Zenoh."""
+        doors = {
+            beacon: door
+            for beacon, door in zip(self._beacons, self._doors, strict=False)
+            if "*" not in beacon
+        }
+        for _ in range(_MOST_ASKS):
+            doors = {beacon: door for beacon, door in doors.items() if beacon not in self._answered}
+            if not doors or self._closing.wait(_ASK_PACE_S):
+                return
+            for beacon, door in doors.items():
+                if door.is_used:
+                    door.is_used = False
+                    try:
+                        self._query(session, wire_range.info_key(self._settings.site, beacon))
+                    except zenoh.ZError:  # the session was closed
+                        return
 
     def _note(self, door: Door, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: no parsing, no logging, no waiting."""
@@ -158,7 +189,9 @@ class RangeLink:
     def _note_answer(self, reply: zenoh.Reply) -> None:
         """In Zenoh's thread."""
         if reply.ok is not None:
-            self._told.append(_raw(reply.ok))
+            raw = _raw(reply.ok)
+            self._answered |= {raw.key.split("/")[-2]} & set(self._beacons)
+            self._told.append(raw)
             self._wake()
 
     def receive(self, clock: Callable[[], int] = time.monotonic_ns) -> Iterator[Event]:
@@ -192,6 +225,7 @@ class RangeLink:
 
     def close(self) -> None:
         """Leave the network."""
+        self._closing.set()
         self._opener.close()
 
 

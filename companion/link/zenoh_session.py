@@ -80,7 +80,7 @@ def neighbours(session: zenoh.Session) -> int:
 class Opener:
     """A session that opens now (a peer), or in a thread of its own, again and again, until somebody answers.
 
-    `opened` is called with the session, in that thread.
+    `opened` is called with the session, in that thread; what it raises there `session` and `connected` raise.
     """
 
     def __init__(
@@ -90,7 +90,8 @@ class Opener:
         caps_hz: Mapping[str, float] | None = None,
     ) -> None:
         """Raises CredentialsError; zenoh.ZError where a peer's endpoint is malformed or cannot be used."""
-        self.session: zenoh.Session | None = None
+        self._session: zenoh.Session | None = None
+        self._failure: Exception | None = None
         self.reason = ""
         """Why there is no session yet."""
         self._config = zenoh_config(settings, caps_hz)
@@ -102,8 +103,8 @@ class Opener:
             self._thread = Thread(target=self._try, name="zenoh-opener", daemon=True)
             self._thread.start()
         else:
-            self.session = zenoh.open(self._config)
-            opened(self.session)
+            self._session = zenoh.open(self._config)
+            opened(self._session)
 
     def _try(self) -> None:
         """An address where nothing is may take seconds to fail."""
@@ -114,9 +115,19 @@ class Opener:
                 self.reason = f"{words(error)} {self._hint}".strip()
                 self._closing.wait(_RETRY_S)
                 continue
-            self.session = session
-            self._opened(session)
+            self._session = session
+            try:
+                self._opened(session)
+            except Exception as error:  # a bug must not die unnoticed with this thread
+                self._failure = error
             return
+
+    @property
+    def session(self) -> zenoh.Session | None:
+        """The session, once it is open."""
+        if self._failure is not None:
+            raise self._failure
+        return self._session
 
     def connected(self) -> int:
         """How many routers and peers there are. None at all is silent in Zenoh, and worth telling."""
@@ -127,5 +138,5 @@ class Opener:
         self._closing.set()
         if self._thread is not None:
             self._thread.join(1.0)
-        if self.session is not None:
-            self.session.close()  # type: ignore[no-untyped-call]
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]

@@ -18,7 +18,7 @@ from companion.link.zenoh_ranges import RangeLink
 from companion.network_settings import RangesSettings
 from companion.types import Defect, Event, LineOfSight, Malformed, RangeSample
 from companion.wire_range import JSON, MSGPACK, RangeMessage, range_key
-from tests.uwb.network import until
+from tests.uwb.network import router, until
 
 KEY = range_key("lab", "b1", "tag")
 
@@ -165,6 +165,25 @@ def test_the_schema_is_the_definition() -> None:
 def test_an_endpoint_that_cannot_be_listened_on_stops_the_start(endpoint: str) -> None:
     with pytest.raises(zenoh.ZError):
         RangeLink(RangesSettings(listen=(endpoint,)), lambda: None)
+
+
+def test_a_bug_where_the_session_is_opened_does_not_go_unnoticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: RangeLink, session: zenoh.Session) -> None:
+        raise TypeError("a bug")
+
+    monkeypatch.setattr(RangeLink, "_listen", broken)
+    with router() as network:
+        link = RangeLink(RangesSettings(connect=(network.endpoint,)), lambda: None)
+
+        def crashes() -> bool:
+            try:
+                link.connected()
+            except TypeError:
+                return True
+            return False
+
+        until(crashes, "the bug where the loop asks")
+        link.close()
 
 
 @pytest.mark.parametrize("vehicle_first", [True, False])
