@@ -21,9 +21,9 @@ from types import TracebackType
 from typing import Protocol, get_args
 
 import msgspec
-from mcap.writer import CompressionType, Writer
 
 from companion.foxglove import TOPICS, Views, viewer_schema
+from companion.mcap_writer import McapWriter
 from companion.types import AnyEvent, AnyOutput, Event, Output, Severity
 
 METADATA = "companion.flight"
@@ -42,7 +42,6 @@ _BATCH = 64
 """Encoded in one go at most, so that the flying loop never waits long for the interpreter."""
 _SILENT_S = 3.0
 """A disk that has not answered for this long is told."""
-_CHUNK_BYTES = 1 << 20
 _LIBRARIES = ("eclipse-zenoh", "mcap", "msgspec", "pymavlink")
 
 
@@ -160,8 +159,7 @@ class FlightWriter:
         """The next event's or output's, where none is missing."""
         self._views = Views(start.unix_of)
         self._encoder = msgspec.json.Encoder()
-        self._mcap = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._mcap.start(library=f"companion {start.versions.get('companion', '')}")
+        self._mcap = McapWriter(stream, f"companion {start.versions.get('companion', '')}")
         self._mcap.add_metadata(METADATA, start.as_metadata())
         names = {kind: f"companion.{kind.__name__}" for kind in RECORDED.values()}
         self._channels = {kind: self._channel(topic, kind, names[kind]) for topic, kind in RECORDED.items()}
@@ -170,9 +168,7 @@ class FlightWriter:
         self.flush()  # the channels stand in a chunk of their own, at the beginning
 
     def _channel(self, topic: str, kind: type, name: str) -> int:
-        schema = msgspec.json.encode(viewer_schema(kind, name))
-        schema_id = self._mcap.register_schema(name, "jsonschema", schema)
-        return self._mcap.register_channel(topic, "json", schema_id)
+        return self._mcap.add_channel(topic, name, msgspec.json.encode(viewer_schema(kind, name)))
 
     def write(self, item: Event | Output) -> None:
         """Append the next event or output."""
@@ -206,30 +202,24 @@ class FlightWriter:
 
     def flush(self) -> None:
         """Close the chunk in progress, so that everything so far can be read."""
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mcap.flush()
 
     def finish(self, count: int | None = None) -> None:
         """End the flight, which had `count` events and outputs, and write the summary for viewers."""
         self.flush()
         self._mcap.add_metadata(END, {"records": str(self.number if count is None else count)})
-        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self._mcap.finish()
 
 
 class _Pending(io.BytesIO):
-    """Bytes for the disk. `tell` counts from the beginning of the file, as MCAP's index needs it."""
-
-    _taken = 0
+    """Bytes for the disk."""
 
     def take(self) -> bytes:
         """What has come since the last time."""
         data = self.getvalue()
         self.seek(0)
         self.truncate()
-        self._taken += len(data)
         return data
-
-    def tell(self) -> int:
-        return self._taken + super().tell()
 
 
 # -------------------------------------------------------------------------------------------- recorder

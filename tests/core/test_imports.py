@@ -21,7 +21,7 @@ CORE = set(ORDER)
 """The pure core, which may import only itself."""
 EDGES = {
     "link", "live", "view", "summary", "wire_range", "wire_status", "record", "recording", "replay",
-    "foxglove", "uwb",
+    "mcap_writer", "foxglove", "uwb",
 }  # fmt: skip
 DESK = {
     "operator", "ground", "picture", "demo", "goal", "bench", "simulate", "publish", "check", "watch", "keys",
