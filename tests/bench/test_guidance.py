@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from companion.bench.batch import fly_many, fly_plain, fly_traced
+from companion.bench.batch import fly_many, fly_plain, fly_traced, random_starts
 from companion.bench.cases import CASES
 from companion.bench.guidance import (
     CONTENDERS,
@@ -26,17 +27,38 @@ from companion.guidance.settings import GuidanceSettings
 pytestmark = pytest.mark.timeout(300)  # numba compiles every scheme
 
 
-@pytest.mark.parametrize("name", CONTENDERS)
+OTHERS: list[dict[str, Any]] = [  # what may be configured besides
+    {"observer": "drift", "controller": "lq-paper"},
+    {"observer": "kalman", "controller": "lq"},
+    {"observer": "luenberger", "controller": "lq"},
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [*((name, {}) for name in CONTENDERS), *(("companion", keys) for keys in OTHERS)],
+    ids=[*CONTENDERS, *("-".join(keys.values()) for keys in OTHERS)],
+)
 @pytest.mark.parametrize("case", ["nominal", "stock"])
-def test_the_compiled_form_is_held_to_the_flying_one_sample_by_sample(name: str, case: str) -> None:
+def test_the_compiled_form_is_held_to_the_flying_one_sample_by_sample(
+    name: str, keys: dict[str, Any], case: str
+) -> None:
     plant = CASES[case].plant._replace(limit_s=25.0)
-    flyer = CONTENDERS[name].make(GuidanceSettings(), plant)
+    flyer = CONTENDERS[name].make(GuidanceSettings(**keys), plant)
     fast, trace = fly_traced(flyer, plant, Start(6.0, 2.0, 11))
     plain, trace_plain = fly_plain(flyer, plant, Start(6.0, 2.0, 11))
     assert len(trace) > 100
     # where one looked at the same numbers, so did the other: no rounding has grown
     np.testing.assert_allclose(trace, trace_plain, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(np.array(fast), np.array(plain), rtol=1e-6, atol=1e-6)
+
+
+def test_the_compiled_bound_is_the_same_in_a_wind() -> None:
+    plant = CASES["drift-0.2"].plant._replace(limit_s=0.1)
+    flyer = CONTENDERS["cao"].make(GuidanceSettings(), plant)
+    starts = random_starts(50, 1)
+    bounds_m = [fly_plain(flyer, plant, start)[0].bound_m for start in starts]
+    np.testing.assert_allclose(Flight(*fly_many(flyer, plant, starts).T).bound_m, bounds_m, rtol=1e-9)
 
 
 PEERS = {  # captured at least, median ratio within

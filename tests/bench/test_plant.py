@@ -10,8 +10,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from companion.bench import plant as plants
-from companion.bench.batch import Flyer, compiled, fly_plain
+from companion.bench.batch import Flyer, fly_plain
 from companion.bench.cases import CASES
 from companion.bench.plant import Plant, Start, shortest_time_s, wander_start, wander_step
 from companion.guidance.model import shortest_path_m
@@ -165,10 +164,3 @@ def test_the_paper_and_the_air_path_agree_on_a_straight_flight() -> None:
     assert flight.time_s == pytest.approx(15.0, abs=1e-6)
     flight, _ = fly_plain(flyer, calm._replace(drift_m_s=0.3), Start(0.4, 0.0, 1))
     assert flight.bound_m == 0.0
-
-
-def test_the_compiled_bound_is_the_same() -> None:
-    fast = compiled(plants.shortest_time_s)
-    for n in range(50):
-        args = (2.0 + 0.5 * n, 0.37 * n % 6.2 - 3.1, 0.5, 0.5, 1.0, 0.2 * math.cos(n), 0.2 * math.sin(n))
-        assert fast(*args) == pytest.approx(shortest_time_s(*args), abs=1e-9)

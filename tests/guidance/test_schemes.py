@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import astuple, replace
+from msgspec.structs import replace
 
-from companion.bench.batch import compiled_scheme
 from companion.guidance.model import NEAR_M
 from companion.guidance.scheme import PROBE, REST, TRACK, UNKNOWN_M, Command, Knowledge, Scheme
 from companion.guidance.schemes import capture
@@ -105,23 +104,6 @@ def test_the_mirrored_world_gets_the_mirrored_answer(keys: dict[str, Any], event
             return  # dead ahead or astern there is no side to mirror, and either is right
         assert known_2 == replace(known, theta_rad=-known.theta_rad)
         assert command_2 == replace(command, omega_rad_s=-command.omega_rad_s)
-
-
-@every_combination
-def test_numba_compiles_it_as_it_stands_to_the_same_numbers(keys: dict[str, Any]) -> None:
-    scheme = capture(GuidanceSettings(**keys), 0.2)
-    events: list[Any] = []
-    for k in range(400):
-        r = 6.0 - 0.005 * k + 0.07 * math.sin(37.0 * k) + (9.0 if 300 < k < 330 else 0.0)
-        omega = math.cos(0.1 * k)
-        events += [("range", r, 0.07, 1.0, 0.1), ("moved", 0.05, 0.5, 0.02, omega), ("ask", 0.05, omega)]
-    plain = _run(scheme, events)
-    fast = _run(compiled_scheme(scheme), events)
-    for (command, known), (command_2, known_2) in zip(plain, fast, strict=True):
-        for one, other in ((known, known_2), (command, command_2)):
-            numbers = [getattr(other, name) for name in one.__struct_fields__]
-            assert numbers == pytest.approx(astuple(one), rel=1e-9, abs=1e-9)
-    assert TRACK in {command.purpose for command, _ in plain}
 
 
 def test_stands_still_until_it_knows_a_distance_then_turns_to_find_the_bearing() -> None:
