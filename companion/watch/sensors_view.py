@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import IO
 
 import msgspec
@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from companion.lines import counts, listed, number, write_lines
 from companion.types import LineOfSight
 from companion.uwb.info import BeaconInfo
 from companion.watch.fleet import Link
@@ -51,8 +52,7 @@ class LineScreen:
         """A line for each; what is awaited once."""
         lines = [missing] if missing and missing != self._missing else []
         self._missing = missing
-        self._stream.write("".join(f"{line}\n" for line in (*lines, *map(beacon_line, rows))))
-        self._stream.flush()
+        write_lines(self._stream, [*lines, *map(beacon_line, rows)])
 
     def close(self) -> None:
         """Nothing is kept back."""
@@ -68,8 +68,7 @@ class JsonScreen:
 
     def show(self, rows: Sequence[BeaconRow], missing: str) -> None:
         """A line."""
-        self._stream.write(msgspec.json.encode({"missing": missing, "beacons": rows}).decode() + "\n")
-        self._stream.flush()
+        write_lines(self._stream, [msgspec.json.encode({"missing": missing, "beacons": rows}).decode()])
 
     def close(self) -> None:
         """Nothing is kept back."""
@@ -118,17 +117,17 @@ def beacon_line(row: BeaconRow) -> str:
         ("link", row.link.value),
         ("alive", "yes" if row.alive else "no"),
         ("rate_hz", f"{row.rate_hz:.1f}"),
-        ("age_s", _number(row.age_s, 2)),
-        ("range_m", _number(row.range_m, 2)),
-        ("sigma_m", _number(row.sigma_m, 3)),
+        ("age_s", number(row.age_s, 2)),
+        ("range_m", number(row.range_m, 2)),
+        ("sigma_m", number(row.sigma_m, 3)),
         ("los", "-" if row.los is None else row.los.value),
-        ("rssi_dbm", _number(row.rssi_dbm, 1)),
+        ("rssi_dbm", number(row.rssi_dbm, 1)),
         ("sessions", str(len(row.sessions))),
         ("believed", str(row.believed)),
-        ("refused", _counts(row.refused)),
-        ("malformed", _counts(row.malformed)),
+        ("refused", counts(row.refused)),
+        ("malformed", counts(row.malformed)),
         ("lost", str(row.lost)),
-        ("notes", ";".join(row.notes).replace(" ", "_") or "-"),
+        ("notes", listed(row.notes)),
     )
     return " ".join(f"{key}={value}" for key, value in fields)
 
@@ -194,11 +193,3 @@ def _info(about: BeaconInfo) -> str:
         (about.sigma_m, "σ {:g} m"),
     )
     return ", ".join(form.format(value) for value, form in told if value is not None)
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _counts(counts: Mapping[str, int]) -> str:
-    return ",".join(f"{k.replace(' ', '_')}:{n}" for k, n in sorted(counts.items()) if n) or "-"

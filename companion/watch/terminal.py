@@ -13,7 +13,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from companion.view import PHASE_STYLE, ViewKind, change_line, panel, plain_line, told_text
+from companion.lines import change_line, listed, number, plain_line, write_lines
+from companion.panel import PHASE_STYLE, panel, told_text
+from companion.view import ViewKind
 from companion.watch.fleet import Fleet, Link, Vehicle
 from companion.watch.listen import News
 
@@ -81,8 +83,7 @@ class PlainScreen:
             if change is not None:
                 lines.append(f"uav={vehicle.uav} {change_line(change, vehicle.t0_ns)}")
         lines += [vehicle_line(vehicle, now_ns) for vehicle in fleet.vehicles()]
-        self._stream.write("".join(f"{line}\n" for line in lines))
-        self._stream.flush()
+        write_lines(self._stream, lines)
 
     def close(self) -> None:
         """Nothing is kept back."""
@@ -100,16 +101,17 @@ class JsonScreen:
         """A line for each; what is awaited goes to standard error."""
         if missing and not fleet.vehicles():
             print(missing, file=sys.stderr)
-        for vehicle in fleet.vehicles():
-            row = {
+        rows = [
+            {
                 "uav": vehicle.uav,
                 "link": vehicle.link(now_ns),
                 "age_s": vehicle.age_s(now_ns),
                 "problems": vehicle.problems(now_ns),
                 "message": vehicle.message,
             }
-            self._stream.write(msgspec.json.encode(row).decode() + "\n")
-        self._stream.flush()
+            for vehicle in fleet.vehicles()
+        ]
+        write_lines(self._stream, [msgspec.json.encode(row).decode() for row in rows])
 
     def close(self) -> None:
         """Nothing is kept back."""
@@ -119,14 +121,12 @@ class JsonScreen:
 
 
 def vehicle_line(vehicle: Vehicle, now_ns: int) -> str:
-    """`uav=… link=… age_s=… problems=…`, then the keys of `companion.view.plain_line`."""
-    age_s = vehicle.age_s(now_ns)
-    age = "-" if age_s is None else f"{age_s:.1f}"
-    head = f"uav={vehicle.uav} link={vehicle.link(now_ns).value} age_s={age}"
-    problems = ";".join(vehicle.problems(now_ns)).replace(" ", "_") or "-"
+    """`uav=… link=… age_s=… problems=…`, then the keys of `companion.lines.plain_line`."""
+    age_s, problems = number(vehicle.age_s(now_ns), 1), listed(vehicle.problems(now_ns))
+    head = f"uav={vehicle.uav} link={vehicle.link(now_ns).value} age_s={age_s} problems={problems}"
     if vehicle.message is None:
-        return f"{head} problems={problems}"
-    return f"{head} problems={problems} {plain_line(vehicle.message.status, vehicle.t0_ns)}"
+        return head
+    return f"{head} {plain_line(vehicle.message.status, vehicle.t0_ns)}"
 
 
 def screen(fleet: Fleet, missing: str, now_ns: int, width: int = 120) -> RenderableType:
