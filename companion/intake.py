@@ -12,7 +12,7 @@ from companion import beacons, echo, gate, health
 from companion import vehicle as veh
 from companion.guidance.scheme import UNKNOWN_M
 from companion.health import Health
-from companion.state import Observing, Plan, State
+from companion.state import Observing, Plan, Ranging, State
 from companion.types import (
     Attitude,
     AutopilotWords,
@@ -56,7 +56,7 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     r = s.ranging
     beacon = r.beacons.get(e.beacon)
     if beacon is None:
-        return _reject(s, Verdict.UNKNOWN_BEACON)
+        return replace(s, ranging=_rejected(r, r.tracks, Verdict.UNKNOWN_BEACON))
     cfg = p.settings.vehicle
     range_m = beacons.range_m(beacon, e)
     sigma_m = beacons.sigma_m(p.settings.ranges, e, beacon.sigma_m)
@@ -65,10 +65,9 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     if speed_m_s is not None:
         rate_m_s = min(rate_m_s, speed_m_s + p.settings.ranges.own_motion_error_m_s)
     track, verdict = gate.judge(p.settings.ranges, r.tracks.get(e.beacon), e, range_m, sigma_m, rate_m_s)
-    if track is not None:
-        r = replace(r, tracks={**r.tracks, e.beacon: track})
+    tracks = r.tracks if track is None else {**r.tracks, e.beacon: track}
     if verdict is not Verdict.ACCEPTED:
-        return _reject(replace(s, ranging=r), verdict)
+        return replace(s, ranging=_rejected(r, tracks, verdict))
     o = predict(p, s, e.t_ns)
     # an old height too: it is nearer than the configured one, and only corrects the slant
     height_m = cfg.height_m if s.vehicle.height_m is None else s.vehicle.height_m
@@ -83,10 +82,11 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
     )
     o = replace(o, guidance=guidance)
     if not guidance.accepted:
-        return _reject(replace(s, ranging=r, observing=o), Verdict.OUTLIER)
+        return replace(s, ranging=_rejected(r, tracks, Verdict.OUTLIER), observing=o)
     heard = {**r.heard, e.beacon: e.t_ns}
     r = replace(
         r,
+        tracks=tracks,
         t_ns=e.t_ns,
         heard=heard,
         t_enough_ns=_enough(r.t_enough_ns, heard, beacons_needed(p, o)),
@@ -99,10 +99,10 @@ def _on_range(p: Plan, s: State, e: RangeSample) -> State:
 
 def _enough(before: int | None, heard: dict[str, int], needed: int) -> int | None:
     """One silent beacon of many is no loss: the time of the newest range but as many as are needed."""
-    times = sorted(heard.values(), reverse=True)
-    if len(times) < needed:
+    if len(heard) < needed:
         return before
-    return times[needed - 1] if before is None else max(before, times[needed - 1])
+    enough = max(heard.values()) if needed == 1 else sorted(heard.values())[-needed]
+    return enough if before is None or enough > before else before
 
 
 def beacons_needed(p: Plan, o: Observing) -> int:
@@ -242,10 +242,9 @@ _TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
 }
 
 
-def _reject(s: State, verdict: Verdict) -> State:
-    r = s.ranging
+def _rejected(r: Ranging, tracks: dict[str, gate.Track], verdict: Verdict) -> Ranging:
     rejected = {**r.rejected, verdict: r.rejected.get(verdict, 0) + 1}
-    return replace(s, ranging=replace(r, rejected=rejected, verdict=verdict))
+    return replace(r, tracks=tracks, rejected=rejected, verdict=verdict)
 
 
 def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Observing:

@@ -40,6 +40,8 @@ from companion.types import (
     Setpoint,
     SystemStatus,
     TargetEcho,
+    Tick,
+    Verdict,
 )
 from companion.vehicle import Vehicle
 
@@ -110,11 +112,11 @@ def step(p: Plan, s: State, event: Event) -> tuple[State, tuple[Output, ...]]:
         s = _command(p, s, t_ns)
     s, change = _transit(p, s, t_ns)  # critical: between command and setpoint, so that it has the last word
     outputs: list[Output] = [] if change is None else [change]
-    if isinstance(event, RangeSample):
-        outputs.append(_verdict(s, event))
     if due and s.phase in _streaming(p):
         s, setpoint = _setpoint(p, s, t_ns)
         outputs.append(setpoint)
+    if isinstance(event, RangeSample):
+        outputs.append(_verdict(s, event))
     return _upkeep(p, s, t_ns, outputs)
 
 
@@ -276,8 +278,10 @@ def _is_due(p: Plan, s: State, event: Event) -> bool:
     """A believed range steers at once, a tick keeps the minimum rate; neither beyond the maximum rate."""
     cfg, sent = p.settings.stream, s.steering.setpoint
     t_ns = event.t_ns
-    fresh = type(event) is RangeSample and s.ranging.t_ns == t_ns
-    if not fresh and sent is not None and t_ns - sent.t_ns < 1e9 / cfg.min_rate_hz:
+    if type(event) is RangeSample:
+        if s.ranging.verdict is not Verdict.ACCEPTED:
+            return False
+    elif type(event) is not Tick or (sent is not None and t_ns - sent.t_ns < 1e9 / cfg.min_rate_hz):
         return False
     return t_ns >= s.steering.t_allowed_ns - 1e9 / cfg.max_rate_hz
 

@@ -76,6 +76,10 @@ class Door:
         self._raw.append(raw)
         self.is_used = True
 
+    def is_quiet(self) -> bool:
+        """Nothing waits, and nothing is to be told."""
+        return not self._raw and self._dropped + self._pushed_out == self._told
+
     def receive(self, now_ns: int) -> Iterator[tuple[Raw, Callable[[Raw], Event]]]:
         """What has come since, as far as the rate allows: of more, the newest."""
         count = len(self._raw)
@@ -199,12 +203,13 @@ class RangeLink:
         for _ in range(len(self._told)):
             yield info_event(self._told.popleft())
         now_ns = clock()
-        came = [raw for door in self._doors for raw in door.receive(now_ns)]
+        doors = [door for door in self._doors if not door.is_quiet()]
+        came = [raw for door in doors for raw in door.receive(now_ns)]
         if len(came) > 1:
             came.sort(key=_t_ns)
         for raw, to_event in came:
             yield to_event(raw)
-        for door in self._doors:
+        for door in doors:
             flood = door.flood(now_ns)
             if flood is not None:
                 yield flood
