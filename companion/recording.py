@@ -103,7 +103,10 @@ def read(path: Path) -> Recording:
             raise RecordError(f"{path}: no flight can be read: {reader.problems[0]}")
         topics = ", ".join(sorted(reader.topics)[:4]) or "none"
         raise RecordError(f"{path}: an MCAP file, but not a flight of this app; topics: {topics}")
-    return reader.recording(reader.start)
+    flight = reader.recording(reader.start)
+    if flight.problems and not flight.steps:
+        raise RecordError(f"{path}: nothing of the flight can be read: {'; '.join(flight.problems[:2])}")
+    return flight
 
 
 class _Reader:
