@@ -32,6 +32,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except commands.UsageError as error:
         print(f"companion: {error}", file=sys.stderr)
         return Exit.USAGE
+    except KeyboardInterrupt:  # Ctrl-C where nothing more orderly is needed
+        return Exit.INTERRUPTED
     except BrokenPipeError:  # the reader of our output (head, less) has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.OK

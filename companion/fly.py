@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -10,7 +11,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import msgspec
-import serial
 import zenoh
 
 from companion.exits import Exit
@@ -19,6 +19,7 @@ from companion.link.mavlink import VehicleLink
 from companion.link.signing import SignedMavlink, SigningError
 from companion.link.systemd import Notifier
 from companion.link.zenoh_ranges import RangeLink
+from companion.link.zenoh_session import words
 from companion.link.zenoh_status import StatusLink
 from companion.live import Bell, live
 from companion.record import Recorder
@@ -37,18 +38,21 @@ def fly(
     log = FlightLog()
     try:
         with ExitStack() as stack:
-            stack.enter_context(recorder)
-            stack.callback(view.close)
             bell = Bell()
             stack.callback(bell.close)
+            for number in (
+                signal.SIGINT,
+                signal.SIGTERM,
+            ):  # first in, last out: the record closes in peace
+                stack.callback(signal.signal, number, signal.signal(number, lambda *_: bell.ask_stop()))
+            stack.enter_context(recorder)
+            stack.callback(view.close)
             systemd = Notifier()
             stack.callback(systemd.close)
             vehicle, ranges = _links(stack, settings, bell)
             network = NetworkWatch(ranges, bool(settings.ranges.tls), view.tell)
             status = StatusLink(settings, lambda: ranges.session, view.tell)
             stack.callback(status.close)
-            for number in (signal.SIGINT, signal.SIGTERM):
-                stack.callback(signal.signal, number, signal.signal(number, lambda *_: bell.ask_stop()))
 
             def send(output: Output) -> None:
                 vehicle.send(output)
@@ -68,17 +72,23 @@ def fly(
                 view.tell(f"not recorded: {recorder.problem}")
             gc.freeze()  # what is there now stays: the collector need not look at it again
             final = run(live(vehicle, ranges, bell), settings, send, recorder.write)
-    except (LinkError, OSError, SigningError, serial.SerialException, zenoh.ZError) as error:
+    except (LinkError, OSError, SigningError, zenoh.ZError) as error:
         print(f"companion: link: {error}", file=sys.stderr)
         return Exit.LINK
     flight = report(log, problem_of(settings))
-    if settings.mission.shadow:
-        print("shadow flight: nothing of this was sent to the vehicle")
-    print(text(flight.summary))
-    print(f"record: {recorder.problem or recorder.name}")
-    if recorder.problem is None:
-        print(f"to look at it: companion report {recorder.name}")
-    _write(flight, json_file, png_file)
+    try:
+        if settings.mission.shadow:
+            print("shadow flight: nothing of this was sent to the vehicle")
+        print(text(flight.summary))
+        print(f"record: {recorder.problem or recorder.name}")
+        if recorder.problem is None:
+            print(f"to look at it: companion report {recorder.name}")
+        _write(flight, json_file, png_file)
+        sys.stdout.flush()
+    except (
+        OSError
+    ):  # nobody reads any more, or the disk is full: the exit status is the flight's all the same
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return exit_status(final, log)
 
 
@@ -93,10 +103,20 @@ def _links(stack: ExitStack, settings: Settings, bell: Bell) -> tuple[VehicleLin
             stack.callback(signed.close)
         vehicle = VehicleLink.open(settings.vehicle, signed, settings.mission.shadow, GroundStation(settings))
         stack.callback(vehicle.close)
+    except OSError as error:
+        raise LinkError(
+            f"{settings.vehicle.mavlink}: {error.strerror or error} (vehicle.mavlink; is another program "
+            "using it, such as mavlink-router or another flight?)"
+        ) from error
+    except ValueError as error:
+        raise LinkError(str(error)) from error
+    try:
         ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
         stack.callback(ranges.close)
     except ValueError as error:
         raise LinkError(str(error)) from error
+    except zenoh.ZError as error:
+        raise LinkError(f"Zenoh: {words(error)} (ranges.connect, ranges.listen)") from error
     return vehicle, ranges
 
 
@@ -139,7 +159,10 @@ def exit_status(final: State, log: FlightLog) -> Exit:
 
 def _write(flight: FlightReport, json_file: Path | None, png_file: Path | None) -> None:
     if json_file is not None:
-        json_file.write_bytes(msgspec.json.encode(flight))
+        try:
+            json_file.write_bytes(msgspec.json.encode(flight))
+        except OSError as error:
+            print(f"companion: no summary: {json_file}: {error.strerror or error}", file=sys.stderr)
     if png_file is not None:
         from companion.picture import PictureError, draw_flight
 

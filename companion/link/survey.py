@@ -6,7 +6,6 @@ What leaves: our HEARTBEAT, PARAM_REQUEST_READ, and the commands SET_MESSAGE_INT
 from __future__ import annotations
 
 import math
-import re
 import struct
 import time
 from collections import deque
@@ -22,6 +21,7 @@ from companion.link.modes import ardupilot_mode, message_id, px4_mode, wanted_ra
 from companion.link.signing import REFUSALS, SignedMavlink
 from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
 from companion.link.zenoh_ranges import RangeLink
+from companion.link.zenoh_session import words
 from companion.network_settings import RangesSettings
 from companion.settings import VehicleSettings
 from companion.types import Charge, EstimatorReport, FlightMode, Landed, SystemStatus
@@ -282,8 +282,7 @@ def open_ranges(settings: RangesSettings, wake: Callable[[], None]) -> RangeLink
     try:
         return RangeLink(settings, wake)
     except zenoh.ZError as error:
-        # Zenoh adds the places in its own source code.
-        raise OSError(re.sub(r" at /\S+\.rs:\d+\.?", "", str(error).splitlines()[0])) from None
+        raise OSError(words(error)) from None
 
 
 # -------------------------------------------------------------------------------------------- readers

@@ -25,10 +25,10 @@ def free_port() -> int:
         return port
 
 
-def start(*arguments: str) -> subprocess.Popen[str]:
+def start(*arguments: str, stdout: Path | None = None) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "companion", *arguments],
-        stdout=subprocess.PIPE,
+        stdout=subprocess.PIPE if stdout is None else stdout.open("w"),
         stderr=subprocess.PIPE,
         text=True,
         cwd=tempfile.mkdtemp(),  # the flight's record goes there
@@ -78,6 +78,16 @@ def test_without_a_vehicle_it_says_so_and_gives_up() -> None:
     assert "Traceback" not in err
 
 
+def test_where_nothing_can_be_told_any_more_the_exit_status_is_still_the_flights() -> None:
+    """A log on a full disk, and a summary in a directory that is not there."""
+    process = start(
+        *fly("--set", "loss.wait_s=0.5", "--json", "/nowhere/flight.json"), stdout=Path("/dev/full")
+    )
+    _, err = process.communicate(timeout=BOUND_S)
+    assert process.returncode == Exit.NO_VEHICLE
+    assert "Traceback" not in err
+
+
 def test_an_endpoint_that_cannot_be_listened_on_is_told() -> None:
     status, _, err = run(*fly("--zenoh-listen", "tcp/203.0.113.1:7447"))
     assert status == Exit.LINK
@@ -88,9 +98,11 @@ def test_an_endpoint_that_cannot_be_listened_on_is_told() -> None:
 def test_a_port_that_is_taken_is_told() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
-        status, _, err = run("fly", "--mavlink", f"udpin:127.0.0.1:{taken.getsockname()[1]}")
+        taken_port = taken.getsockname()[1]
+        status, _, err = run("fly", "--mavlink", f"udpin:127.0.0.1:{taken_port}")
     assert status == Exit.LINK
     assert "in use" in err
+    assert f"udpin:127.0.0.1:{taken_port}" in err
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
