@@ -36,9 +36,11 @@ def fly(args: argparse.Namespace) -> int:
 
     shadow = ["mission.shadow=true"] if args.shadow else []
     loaded = _load(args.config, _link_overrides(args) + shadow)
-    view = open_view(sys.stdout, ViewKind(args.view))
     path = args.record or Path("flights") / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
     recorder = Recorder.open(path, start_now(loaded.config, loaded.digest, loaded.sources))
+    if args.record is not None and recorder.problem is not None:
+        raise UsageError(f"--record {recorder.problem}; name another file, or leave it out")
+    view = open_view(sys.stdout, ViewKind(args.view))
     return fly(loaded.config, view, recorder, json_file=args.json, png_file=args.png)
 
 

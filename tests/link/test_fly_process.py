@@ -60,6 +60,7 @@ def fly(*more: str) -> tuple[str, ...]:
         (fly("--set", "guidance.spede_m_s=0.4"), "did you mean speed_m_s"),
         (("fly", "--config", "nowhere.toml"), "nowhere.toml"),
         (("fly", "--mavlink", "carrier-pigeon"), "carrier-pigeon"),
+        (fly("--record", str(ROOT / "README.md")), "File exists; name another file"),
         (("sim", "--runs", "0"), "must be at least 1"),
         (("nonsense",), "nonsense"),
     ],
