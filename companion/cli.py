@@ -11,13 +11,10 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from companion import cli_calibrate, cli_keys, cli_publish, cli_watch, commands
 from companion.exits import MEANING, Exit
-
-if TYPE_CHECKING:
-    pass
 
 _EXITS = "exit status:\n" + "\n".join(f"  {int(e):3d}  {text}" for e, text in MEANING.items())
 
@@ -432,14 +429,20 @@ class _Version(argparse.Action):
 
 
 def _at_least_one(text: str) -> int:
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number") from None
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value}: must be at least 1")
     return value
 
 
 def _positive(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a number") from None
     if not 0.0 < value < 1e6:
         raise argparse.ArgumentTypeError(f"{text}: must be above 0 and below a million")
     return value

@@ -22,7 +22,7 @@ from msgspec import inspect
 from companion.guidance.station_settings import BEACONS_NEEDED
 from companion.link import credentials
 from companion.link.transport import parse_url
-from companion.network_settings import NAME_RULE, is_name
+from companion.network_settings import NAME_RULE, RULES, is_name
 from companion.settings import Settings
 from sitl_mock.scenario import Scenario
 
@@ -300,6 +300,8 @@ def _explain(message: str, raw: dict[str, Any], sources: Mapping[str, str]) -> s
         problem = f"unknown key; {hint}allowed: {', '.join(allowed)}"
     elif isinstance(kind, inspect.LiteralType):
         problem = f"allowed: {', '.join(map(repr, kind.values))}"
+    elif isinstance(kind, inspect.StrType) and "matching regex" in problem:
+        problem = RULES.get(kind.pattern or "", problem)
     key = ".".join(keys)
     shown = "" if unknown or isinstance(value, dict) else f" = {value!r}"
     source = sources.get(key)

@@ -11,9 +11,17 @@ from msgspec import Meta
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Finite = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Endpoint = Annotated[str, Meta(pattern=r"^[a-z0-9\-]+/[^/].*$")]
-Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.\-]+$")]
+_WITH_PORT = r"(?:tcp|udp|tls|quic|ws)/"
+_ENDPOINT = rf"^(?:{_WITH_PORT}[^/\s]+:[0-9]+([?#].*)?|(?!{_WITH_PORT})[a-z0-9\-]+/.+)$"
+Endpoint = Annotated[str, Meta(pattern=_ENDPOINT)]
+_NAME = r"^[A-Za-z0-9_.\-]+$"
+Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=_NAME)]
 NAME_RULE = "a name is letters, digits, `_`, `.`, `-`, at most 64 of them"
+RULES = {
+    _NAME: NAME_RULE,
+    _ENDPOINT: "an endpoint is PROTOCOL/ADDRESS:PORT, such as tcp/192.168.1.10:7447",
+}
+"""What a pattern asks for, in words."""
 
 
 def is_name(text: str) -> bool:

@@ -62,6 +62,7 @@ def fly(*more: str) -> tuple[str, ...]:
         (("fly", "--mavlink", "carrier-pigeon"), "carrier-pigeon"),
         (fly("--record", str(ROOT / "README.md")), "File exists; name another file"),
         (("sim", "--runs", "0"), "must be at least 1"),
+        (("sim", "--runs", "many"), "'many': must be a whole number"),
         (("nonsense",), "nonsense"),
     ],
 )
