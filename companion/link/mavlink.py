@@ -16,6 +16,7 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.decode import WORDS, decoders, heading_from_yaw
+from companion.link.frames import SetPositionTarget, messages
 from companion.link.ground_station import GroundStation
 from companion.link.modes import DIALECTS, message_id, wanted_rates
 from companion.link.signing import REFUSALS, SignedMavlink, is_signed
@@ -82,6 +83,7 @@ class VehicleLink:
         self._target_system = settings.target_system
         self._dialect = DIALECTS[settings.kind]
         self._decoders = decoders(self._dialect)
+        self._heard = frozenset({*self._decoders, *WORDS, *_STEERING})
         self._wanted_hz = {message_id(name): hz for name, hz in wanted_rates(settings).items()}
         self._counts = dict.fromkeys(self._wanted_hz, 0)
         self._t_counted_ns = 0
@@ -115,7 +117,7 @@ class VehicleLink:
         while t_ns - began_ns < _TURN_NS and (data := self._transport.receive()):
             t_ns = clock()
             self._is_from_peer = is_from_peer(self._transport, t_ns)
-            for message in self._mav.parse_buffer(data) or ():
+            for message in messages(self._mav, data, self._heard):
                 event = self._event(message, t_ns)
                 if event is not None:
                     yield event
@@ -234,7 +236,7 @@ class VehicleLink:
         self._transport.send(data)
 
 
-def setpoint_message(s: Setpoint, target_system: int) -> Any:
+def setpoint_message(s: Setpoint, target_system: int) -> SetPositionTarget:
     """SET_POSITION_TARGET_LOCAL_NED for a setpoint.
 
     With a height: LOCAL_NED, v_x and v_y from the measured heading, z held. Without: BODY_NED with v_z.
@@ -248,12 +250,8 @@ def setpoint_message(s: Setpoint, target_system: int) -> Any:
         frame, mask = mavlink.MAV_FRAME_LOCAL_NED, _MASK_HEIGHT_HELD
         vx, vy = s.speed_m_s * math.cos(yaw_ned), s.speed_m_s * math.sin(yaw_ned)
         vz, z = 0.0, -s.height_m
-    return mavlink.MAVLink_set_position_target_local_ned_message(
+    return SetPositionTarget(
         t_boot_ms,
-        target_system,
-        mavlink.MAV_COMP_ID_AUTOPILOT1,
-        frame,
-        mask,
         0.0,
         0.0,
         z,
@@ -265,4 +263,8 @@ def setpoint_message(s: Setpoint, target_system: int) -> Any:
         0.0,
         0.0,
         -s.yaw_rate_rad_s,
+        mask,
+        target_system,
+        mavlink.MAV_COMP_ID_AUTOPILOT1,
+        frame,
     )
