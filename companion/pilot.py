@@ -64,10 +64,7 @@ def plan(settings: Settings) -> Plan:
 
 
 def _station_plan(settings: Settings) -> Plan:
-    from companion.guidance import (
-        station,
-        station_paper,
-    )  # a tenth of the start of a flight that needs neither
+    from companion.guidance import station, station_paper  # not quick to load, and a capture needs neither
 
     names = sorted(settings.beacons)  # the numbers must not depend on the order in a file: a replay is exact
     beacons = [settings.beacons[name] for name in names]

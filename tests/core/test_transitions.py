@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from companion.guidance.settings import GuidanceSettings
 from companion.settings import LossSettings, Settings, VehicleSettings
 from companion.types import (
     Attitude,
@@ -265,3 +266,21 @@ def test_what_never_comes_is_named_after_its_time() -> None:
     named = {warning.split()[0] for warning in status(late).warnings}
     assert {"BATTERY_STATUS", "ESTIMATOR_STATUS", "CURRENT_MODE"} <= named
     assert "never came within 5 s" in status(late).warnings[0]
+
+
+# ------------------------------------------------------------------------------------------ standstill
+
+
+def test_a_standstill_is_no_part_of_the_first_turn() -> None:
+    script = Script()
+    guidance = GuidanceSettings(observer="luenberger", probe_turn_s=4.0)
+    before = engaged(script, Settings(guidance=guidance))  # it turns for one second
+    script.tells_attitude = False
+    standing = fly(script.run(4.0), before=before)
+    assert standing.state.phase is Phase.STALL
+    script.tells_attitude = True
+    turning = fly(script.run(2.0), before=standing)
+    assert turning.state.phase is Phase.ACQUIRE
+    last = turning.of(Setpoint)[-1]
+    assert isinstance(last, Setpoint) and last.yaw_rate_rad_s == guidance.yaw_rate_max_rad_s
+    assert fly(script.run(2.0), before=turning).state.phase is Phase.APPROACH
