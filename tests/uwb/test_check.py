@@ -18,7 +18,7 @@ from companion.uwb.check import Level, judge, judge_beacon
 from companion.uwb.info import BeaconInfo
 from companion.uwb.sources import Simulated
 from companion.wire_range import JSON, MSGPACK, RangeMessage, encode
-from tests.uwb.network import publishing, router
+from tests.uwb.network import publishing, router, until
 from tests.uwb.samples import JAZZY
 
 KEY = "uwb/v1/lab/b1/drone/range"
@@ -171,7 +171,8 @@ def test_our_own_publisher_is_fine() -> None:
         publication = Publication(
             Simulated(rate_hz=50.0), info=BeaconInfo(height_m=1.0), connect=(network.endpoint,)
         )
-        with publishing(publication):
+        with publishing(publication) as running:
+            until(lambda: any("connected to 1" in line for line in running.said), "connection")
             report = check(
                 "uwb/v1/lab/*/*/range", lines.append, seconds=1.0, connect=(network.endpoint,), strict=True
             )
@@ -190,7 +191,7 @@ def foreign(session: zenoh.Session, stop: threading.Event, key: str) -> None:
         i += 1
 
 
-def checked(key: str, of_publisher: str, seconds: float = 0.5) -> tuple[Verdict, str]:
+def checked(key: str, of_publisher: str, seconds: float = 1.5) -> tuple[Verdict, str]:
     lines: list[str] = []
     stop = threading.Event()
     with router() as network:
