@@ -12,7 +12,7 @@ from pathlib import Path
 
 from companion import cli
 
-BOUND_S = 20.0
+BOUND_S = 40.0
 NOW = datetime.now(UTC)
 
 

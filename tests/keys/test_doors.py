@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -154,11 +154,18 @@ def test_nobody_answers_or_stands_in_for_a_beacon_but_itself(door: Door, opened:
     def alive() -> set[str]:
         return {str(r.ok.key_expr) for r in watcher.liveliness().get("uwb/v1/lab/*/alive") if r.ok}
 
-    until(lambda: alive() >= {"uwb/v1/lab/b1/alive", "uwb/v1/lab/b2/alive"})
-    until(answers)
-    assert answers() == {b"mine"}
+    found: set[str] = set()
+    heard: set[bytes] = set()
+
+    def all_came() -> bool:
+        found.update(alive())
+        heard.update(answers())
+        return found >= {"uwb/v1/lab/b1/alive", "uwb/v1/lab/b2/alive"} and bool(heard)
+
+    until(all_came)
+    assert found == {"uwb/v1/lab/b1/alive", "uwb/v1/lab/b2/alive"}
+    assert heard == {b"mine"}
     assert len(kept) == 5
-    assert alive() == {"uwb/v1/lab/b1/alive", "uwb/v1/lab/b2/alive"}
 
 
 def test_a_beacon_may_not_listen_to_the_others(door: Door, opened: Open) -> None:
@@ -276,11 +283,19 @@ def test_a_certificate_that_expires_ends_the_connection_that_it_opened(
     door: Door, opened: Open, tmp_path: Path
 ) -> None:
     ca = site.authority_of(door.directory)
-    made = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=5)
-    soon = certificates.issue(ca, Role.BEACON, "b1", made, 1)
-    session = opened(door.settings(str(write(tmp_path / "who", soon, ca.certificate_pem()))))
-    assert session.info.routers_zid()
+    for lasts_s in (3, 15):  # a loaded machine may not open a session within three seconds
+        made = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=lasts_s)
+        soon = certificates.issue(ca, Role.BEACON, "b1", made, 1)
+        place = write(tmp_path / f"{lasts_s} s", soon, ca.certificate_pem())
+        with suppress(zenoh.ZError, CredentialsError):
+            session = opened(door.settings(str(place)))
+            if session.info.routers_zid():
+                break
+    else:
+        pytest.fail("no session within fifteen seconds")
     until(lambda: not session.info.routers_zid())
+    with pytest.raises(CredentialsError, match="expired"):
+        zenoh_config(door.settings(str(place)))
 
 
 def test_routers_of_a_site_hand_on_to_each_other_what_they_let_in(door: Door, opened: Open) -> None:
@@ -304,12 +319,11 @@ def test_routers_of_a_site_hand_on_to_each_other_what_they_let_in(door: Door, op
 def test_a_vehicle_that_names_two_routers_flies_with_one_of_them_dead(door: Door) -> None:
     first = door.settings("vehicle-u1")
     both = msgspec.structs.replace(first, connect=(f"tls/127.0.0.1:{free_port()}", *first.connect))
-    rung = threading.Event()
-    vehicle, publisher = RangeLink(both, rung.set, ["b1"]), PublishLink(door.settings("beacon-b1"))
+    vehicle, publisher = RangeLink(both, lambda: None, ["b1"]), PublishLink(door.settings("beacon-b1"))
 
     def heard() -> bool:
         publisher.put("b1", "t1", RangeMessage("s", 0, 4.25))
-        return rung.wait(0.02)
+        return any(isinstance(event, RangeSample) for event in vehicle.receive())
 
     until(heard)
     vehicle.close()

@@ -52,6 +52,7 @@ FORWARD = Setpoint(0, 0.5, 0.2, 0.0, None, 0.1)
 AUTOPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 GUIDED, LAND, BRAKE = 4, 9, 17
 HANDLE = {"FS_GCS_ENABLE", "SYSID_MYGCS", "GUID_TIMEOUT"}
+BOUND_S = 40.0
 
 
 # ------------------------------------------------------------------------------------------------- link
@@ -331,9 +332,9 @@ class Flight:
         fields = [*params, *[0.0] * (7 - len(params))]
         self.gcs.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *fields).pack(self._mav))
 
-    def until(self, done: Callable[[], bool], limit_s: float, setpoint: Setpoint | None = None) -> None:
+    def until(self, done: Callable[[], bool], setpoint: Setpoint | None = None) -> None:
         """Go on until it is so, streaming where asked to."""
-        end = time.monotonic() + limit_s
+        end = time.monotonic() + BOUND_S
         while not done():
             assert time.monotonic() < end, (self.mode, self.armed, self.height, self.speed)
             select.select([self.link], [], [], 0.05)
@@ -363,18 +364,18 @@ def test_on_the_wire_it_flies_stops_by_itself_stays_in_guided_and_lands_when_ask
     with running_mock(*arguments, "--param", "MPC_TKO_RAMP_T=0.5") as mock:
         flight = Flight(onboard, mock.endpoints["mavlink ground station"])
         try:
-            flight.until(lambda: flight.mode is LOITER, 10.0)
+            flight.until(lambda: flight.mode is LOITER)
             flight.command(mavlink.MAV_CMD_DO_SET_MODE, 1, GUIDED)
-            flight.until(lambda: flight.mode is OFFBOARD, 10.0)
+            flight.until(lambda: flight.mode is OFFBOARD)
             flight.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-            flight.until(lambda: flight.armed, 10.0)
+            flight.until(lambda: flight.armed)
             flight.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0)
-            flight.until(lambda: flight.height > 1.8, 30.0)
-            flight.until(lambda: flight.speed > 0.4, 10.0, FORWARD)
-            flight.until(lambda: flight.speed < 0.1, 10.0)
+            flight.until(lambda: flight.height > 1.8)
+            flight.until(lambda: flight.speed > 0.4, FORWARD)
+            flight.until(lambda: flight.speed < 0.1)
             assert flight.mode is OFFBOARD, "no failsafe: GUIDED goes on without anybody"
             flight.link.send(ModeRequest(0, FlightMode.AUTO_LAND))
-            flight.until(lambda: flight.mode is FlightMode.AUTO_LAND, 10.0)
+            flight.until(lambda: flight.mode is FlightMode.AUTO_LAND)
         finally:
             flight.link.close()
             flight.gcs.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import socket
@@ -42,18 +43,21 @@ class Beacon:
 
 
 class Listener:
-    """A range link, and a bell to wait on."""
+    """A range link, and the bell that it rings."""
 
     def __init__(self, endpoint: str) -> None:
         self.rung = threading.Event()
         self.link = RangeLink(RangesSettings(connect=(endpoint,), tag="tag"), self.rung.set)
 
     def hear(self, at_least: int = 1) -> list[Event]:
-        events = list(self.link.receive())
-        while len(events) < at_least:
-            assert self.rung.wait(5.0), f"only {events}"
-            self.rung.clear()
-            events += self.link.receive()
+        events: list[Event] = []
+
+        def enough() -> bool:
+            events.extend(self.link.receive())
+            return len(events) >= at_least
+
+        until(enough, "what was put")
+        assert self.rung.is_set()
         return events
 
 
@@ -62,9 +66,7 @@ def pair() -> Iterator[tuple[Beacon, Listener]]:
     beacon = Beacon()
     listener = Listener(beacon.endpoint)
     publisher: Any = beacon.session.declare_publisher(KEY)
-    matched = threading.Event()
-    publisher.declare_matching_listener(lambda status: matched.set() if status.matching else None)
-    assert publisher.matching_status.matching or matched.wait(10.0)
+    until(lambda: publisher.matching_status.matching, "that the range link listens")
     yield beacon, listener
     listener.link.close()
     beacon.session.close()  # type: ignore[no-untyped-call]
@@ -200,11 +202,13 @@ def test_a_router_hands_ranges_from_a_beacon_to_the_vehicle(vehicle_first: bool)
         listener = listener or Listener(endpoint)
         peer = {"mode": "peer", "connect": {"endpoints": [endpoint]}, "scouting": quiet}
         beacon: Any = zenoh.open(zenoh.Config.from_json5(json.dumps(peer)))
-        for seq in range(200):
-            beacon.put(KEY, text(seq=seq), encoding=JSON)
-            if listener.rung.wait(0.05):
-                break
-        assert isinstance(next(listener.link.receive()), RangeSample)
+        seq = itertools.count()
+
+        def heard() -> bool:
+            beacon.put(KEY, text(seq=next(seq)), encoding=JSON)
+            return any(isinstance(event, RangeSample) for event in listener.link.receive())
+
+        until(heard, "a range through the router")
         beacon.close()
     finally:
         if listener is not None:

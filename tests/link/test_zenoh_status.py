@@ -28,7 +28,7 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def until(condition: Callable[[], object], bound_s: float = 20.0) -> None:
+def until(condition: Callable[[], object], bound_s: float = 40.0) -> None:
     end = time.monotonic() + bound_s
     while not condition():
         assert time.monotonic() < end

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import signal
 import socket
+import time
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
@@ -20,7 +21,7 @@ from companion.watch.page import Page
 from companion.watch.server import is_ours
 from tests.link.test_fly_process import start
 from tests.link.test_zenoh_status import until
-from tests.people.browser import Browser
+from tests.people.browser import BOUND_S, Browser
 from tests.people.browser import Page as Tab
 from tests.people.flights import flight, status
 from tests.people.test_watch import S, heard, message
@@ -50,7 +51,8 @@ class Told:
 
     def until(self, tab: Tab, script: str) -> None:
         """Tell again what is told five times a second, until the page shows it."""
-        for _ in range(200):
+        end = time.monotonic() + BOUND_S
+        while time.monotonic() < end:
             self.page.show(self.fleet, [], "", round(self.now_s * S))
             if tab.evaluate(f"!!({script})", bool):
                 return

@@ -129,10 +129,10 @@ def test_a_flight_tells_systemd_that_it_is_ready_alive_and_over(tmp_path: Path) 
     assert any(line.startswith(b"STATUS=ended") for line in rest)
 
 
-def checked(at: Stage, *more: str) -> tuple[int, str, str]:
+def checked(at: Stage, patience_s: float, *more: str) -> tuple[int, str, str]:
     process = companion(
         "check", "--mavlink", at.settings.vehicle.mavlink,
-        "--zenoh-connect", at.settings.ranges.connect[0], "--patience", "5", *more,
+        "--zenoh-connect", at.settings.ranges.connect[0], "--patience", str(patience_s), *more,
     )  # fmt: skip
     out, err = process.communicate(timeout=60.0)
     return process.returncode, out, err
@@ -140,10 +140,12 @@ def checked(at: Stage, *more: str) -> tuple[int, str, str]:
 
 def test_the_command_says_ready_or_not_and_speaks_json() -> None:
     with stage("--param", "COM_OBL_RC_ACT=5") as mock:
-        status, out, err = checked(mock, "--json")
+        status, out, err = checked(mock, 20.0, "--json")
         assert status == Exit.OK, out + err
         assert json.loads(out)["ready"] is True
-        status, out, err = checked(mock, "--set", "mission.target='b9'", "--set", "beacons.b9.height_m=1.5")
+        status, out, err = checked(
+            mock, 5.0, "--set", "mission.target='b9'", "--set", "beacons.b9.height_m=1.5"
+        )
     assert status == Exit.NOT_READY
     assert "no range on uwb/v1/lab/b9/*/range" in out
     assert "NOT READY: 1 to mend" in out

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-START_LIMIT_S = 20.0
+START_LIMIT_S = 60.0
 
 
 class RunningMock(NamedTuple):
