@@ -135,14 +135,11 @@ def _groups(args: argparse.Namespace) -> list[Group]:
 
 
 def _name(text: str) -> str:
-    import msgspec
+    from companion.network_settings import NAME_RULE, is_name
 
-    from companion.network_settings import Name
-
-    try:
-        return msgspec.convert(text, Name)
-    except msgspec.ValidationError:
-        raise ValueError(f"{text[:80]!r} is no id for the configuration: name one with --as") from None
+    if not is_name(text):
+        raise ValueError(f"{text[:80]!r} is no id for the configuration ({NAME_RULE}): name one with --as")
+    return text
 
 
 def _draw(path: Path, found: object) -> None:

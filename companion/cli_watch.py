@@ -60,7 +60,7 @@ def watch(args: argparse.Namespace, settings: RangesSettings) -> int:
 
     _check(settings)
     if args.uav != "*":
-        _name(args.uav)
+        _check_name(args.uav)
     with ExitStack() as stack:
         stop = _until_signal(stack)
         try:
@@ -146,15 +146,11 @@ def _check(settings: RangesSettings) -> None:
         )
 
 
-def _name(text: str) -> None:
-    import msgspec
+def _check_name(uav: str) -> None:
+    from companion.network_settings import NAME_RULE, is_name
 
-    from companion.network_settings import Name
-
-    try:
-        msgspec.convert(text, Name)
-    except msgspec.ValidationError:
-        raise ValueError(f"--uav {text!r}: letters, digits, `_`, `.`, `-`, at most 64 of them") from None
+    if not is_name(uav):
+        raise ValueError(f"--uav {uav[:80]!r}: {NAME_RULE}")
 
 
 def _until_signal(stack: ExitStack) -> threading.Event:

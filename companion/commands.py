@@ -10,10 +10,11 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from companion import cli_calibrate, cli_keys, cli_publish, cli_watch
 from companion.exits import Exit
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from companion.config import Loaded
+
+
+T = TypeVar("T")
 
 
 class UsageError(Exception):
@@ -393,35 +397,31 @@ def bench_system(args: argparse.Namespace) -> int:
 
 def bench_network(args: argparse.Namespace) -> int:
     """Load a network of processes."""
-    import msgspec
-
-    from companion.bench.network import BenchError, Load, table
-    from companion.bench.network import bench_network as measure
+    from companion.bench.network import Load, bench_network, table
 
     load = Load(args.vehicles, args.beacons, args.rate, args.each, args.seconds, args.tls)
-    try:
-        figures = measure(load, lambda line: print(line, file=sys.stderr, flush=True))
-    except BenchError as error:
-        print(f"companion: {error}", file=sys.stderr)
-        return Exit.LINK
-    print(msgspec.json.encode(figures).decode() if args.json else table(figures))
-    return Exit.OK
+    return _measured(partial(bench_network, load), None if args.json else table)
 
 
 def bench_recovery(args: argparse.Namespace) -> int:
     """Let the network fail and come back."""
+    from companion.bench.recovery import FAULTS, bench_recovery, table
+
+    return _measured(partial(bench_recovery, FAULTS), None if args.json else table)
+
+
+def _measured(measure: Callable[[Callable[[str], None]], T], table: Callable[[T], str] | None) -> int:
+    """What a network of processes came to, as a table or, without one, as JSON; progress goes to stderr."""
     import msgspec
 
     from companion.bench.network import BenchError
-    from companion.bench.recovery import FAULTS, table
-    from companion.bench.recovery import bench_recovery as measure
 
     try:
-        found = measure(FAULTS, lambda line: print(line, file=sys.stderr, flush=True))
+        found = measure(lambda line: print(line, file=sys.stderr, flush=True))
     except BenchError as error:
         print(f"companion: {error}", file=sys.stderr)
         return Exit.LINK
-    print(msgspec.json.encode(found).decode() if args.json else table(found))
+    print(msgspec.json.encode(found).decode() if table is None else table(found))
     return Exit.OK
 
 

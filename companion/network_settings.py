@@ -14,7 +14,7 @@ Finite = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _WITH_PORT = r"(?:tcp|udp|tls|quic|ws)/"
 _ENDPOINT = rf"^(?:{_WITH_PORT}[^/\s]+:[0-9]+([?#].*)?|(?!{_WITH_PORT})[a-z0-9\-]+/.+)$"
 Endpoint = Annotated[str, Meta(pattern=_ENDPOINT)]
-_NAME = r"^[A-Za-z0-9_.\-]+$"
+_NAME = r"^[A-Za-z0-9_.\-]+$(?!\n)"  # `$` alone would let a newline pass at the end
 Name = Annotated[str, Meta(min_length=1, max_length=64, pattern=_NAME)]
 NAME_RULE = "a name is letters, digits, `_`, `.`, `-`, at most 64 of them"
 RULES = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +15,7 @@ from matplotlib.patches import Circle
 from companion.bench import batch
 from companion.bench.batch import Floats, Flyer
 from companion.bench.cases import CASES, SECTION_VII
+from companion.bench.drawing import save, tidy
 from companion.bench.guidance import CONTENDERS, SHORTEST, Report, Result, paper_with_bearing
 from companion.bench.plant import Flight, Plant, Sample, Start
 
@@ -42,26 +42,14 @@ AFTER_S = 2.0
 
 def plots(report: Report, directory: Path) -> list[Path]:
     """Draw everything into `directory`, which is made if it is not there; return the files."""
-    directory.mkdir(parents=True, exist_ok=True)
-    pictures: dict[str, Callable[[Report], Figure | None]] = {
-        "path_ratio.png": path_ratio,
-        "where.png": where,
-        "figure3.png": figure3,
-        "figure4.png": figure4,
-        "figure5.png": figure5,
+    figures = {
+        "path_ratio.png": path_ratio(report),
+        "where.png": where(report),
+        "figure3.png": figure3(report),
+        "figure4.png": figure4(report),
+        "figure5.png": figure5(report),
     }
-    written = []
-    for name, draw in pictures.items():
-        figure = draw(report)
-        if figure is not None:
-            figure.savefig(directory / name, dpi=130)
-            written.append(directory / name)
-    return written
-
-
-def _tidy(axis: Axes) -> None:
-    axis.spines[["top", "right"]].set_visible(False)
-    axis.grid(alpha=0.25, lw=0.6)
+    return save(figures, directory)
 
 
 # ------------------------------------------------------------------------------------------- statistics
@@ -88,7 +76,7 @@ def path_ratio(report: Report) -> Figure:
         axis.set_xticks([ratio - 1.0 for ratio in RATIOS[1:]], [f"{ratio:g}" for ratio in RATIOS[1:]])
         axis.minorticks_off()
         axis.tick_params(labelsize=8)
-        _tidy(axis)
+        tidy(axis)
     figure.supxlabel("path ÷ shortest path", fontsize=10)
     figure.supylabel("share of flights captured within it", fontsize=10)
     handles, labels = axes.flat[0].get_legend_handles_labels()
@@ -241,7 +229,7 @@ def figure3(report: Report) -> Figure:
     axis.set_ylabel("y (m)")
     axis.set_title("Target capture, the example of Section VII (Fig. 3)", loc="left", fontsize=11)
     axis.legend(frameon=False, fontsize=9, loc="upper left")
-    _tidy(axis)
+    tidy(axis)
     return figure
 
 
@@ -269,7 +257,7 @@ def _over_time(example: Example, report: Report, which: str) -> Figure:
         axis.set_ylabel(label)
         if math.isfinite(example.flight.time_s):
             axis.axvline(example.flight.time_s, color="k", lw=0.8, ls=":")
-        _tidy(axis)
+        tidy(axis)
     axes[0].axhline(report.settings.capture_radius_m, color="#e8b400", lw=1.4)
     axes[0].set_ylim(bottom=0.0)
     axes[0].annotate(

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from companion.bench.drawing import save, tidy
 from companion.bench.station import STATION_CASES, STATION_SCHEMES, StationReport, make, told
 from companion.bench.station_plant import Air, Field, Moment, fly, random_beacons, untold
 
@@ -24,17 +25,7 @@ PAPER_AIR = Air(dropout=0.0, reflected=0.0, yaw_rate_lag_s=1e-3, speed_lag_s=1e-
 
 def station_plots(report: StationReport, directory: Path) -> list[Path]:
     """Draw everything into `directory`, which is made if it is not there; return the files."""
-    directory.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, draw in (("station.png", station), ("figure6.png", figure6)):
-        draw(report).savefig(directory / name, dpi=130)
-        written.append(directory / name)
-    return written
-
-
-def _tidy(axis: Axes) -> None:
-    axis.spines[["top", "right"]].set_visible(False)
-    axis.grid(alpha=0.25, lw=0.6)
+    return save({"station.png": station(report), "figure6.png": figure6(report)}, directory)
 
 
 def station(report: StationReport) -> Figure:
@@ -53,7 +44,7 @@ def station(report: StationReport) -> Figure:
         hold.axvline(report.keeping.radius_m, color="#e8b400", lw=1.4)
         for axis in (path, hold):
             axis.set_ylim(0.0, 1.02)
-            _tidy(axis)
+            tidy(axis)
     axes[-1][0].set_xlabel("path until the station is entered ÷ shortest path")
     axes[-1][1].set_xlabel("greatest distance in the minute after the arrival (m); ε in yellow")
     figure.supylabel("share of all flights", fontsize=10)
@@ -121,5 +112,5 @@ def figure6(report: StationReport) -> Figure:
     axis.set_ylabel("y (m)")
     axis.set_title("Station keeping, the example of Section VII (Fig. 6)", loc="left", fontsize=11)
     axis.legend(frameon=False, fontsize=8, loc="upper left")
-    _tidy(axis)
+    tidy(axis)
     return figure

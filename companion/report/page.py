@@ -60,7 +60,7 @@ def _plotly() -> str:
 def html(flight: Flight, series: Series, plotly: str) -> str:
     """The page's text. All that was heard from outside is escaped."""
     f = flight.figures
-    here = resources.files("companion.report")
+    here, theme = resources.files("companion.report"), resources.files("companion") / "theme.css"
     colours = {phase.value: colour for phase, colour in PHASE_COLOURS.items()}
     engaged = [phase.value for phase in Phase if phase.is_engaged]
     data = msgspec.json.encode(_Data(f, series, colours, engaged)).decode()
@@ -69,7 +69,7 @@ def html(flight: Flight, series: Series, plotly: str) -> str:
     )
     return Template((here / "page.html").read_text(encoding="utf-8")).substitute(
         title=escape(f"{f.headline} · {Path(f.file).name}"),
-        css=(here / "page.css").read_text(encoding="utf-8"),
+        css="".join(sheet.read_text(encoding="utf-8") for sheet in (theme, here / "page.css")),
         verdict="captured" if f.summary.captured else "missed",
         what=escape(f"{f.kind} of {f.began_at} · {f.file} · {f.duration_s:.0f} s recorded"),
         headline=escape(f.headline),

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -18,6 +17,7 @@ import msgspec
 
 from companion import wire_range
 from companion.link.zenoh_publish import Answer, Heard
+from companion.network_settings import NAME_RULE, is_name
 from companion.uwb import info, ros2
 from companion.wire_range import JSON, MAX_PAYLOAD_BYTES, MSGPACK, RangeMessage
 
@@ -31,7 +31,6 @@ CLOCK_S = 1.0
 LATE_S = 0.3
 """Older ranges are stale (`ranges.max_age_s`)."""
 MOST_LOST = 0.05
-_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 _FIELDS = {field.name for field in msgspec.structs.fields(RangeMessage)}
 
 
@@ -143,11 +142,9 @@ def _of_key(key: str) -> list[Finding]:
     parts = key.split("/")
     if len(parts) != 6 or "/".join(parts[:2]) != wire_range.KEY_VERSION or parts[5] != "range":
         return [_wrong(f"the key is not of the form {KEY_FORM}: no vehicle listens there")]
-    odd = [part for part in parts[2:5] if not _NAME.fullmatch(part)]
+    odd = [part for part in parts[2:5] if not is_name(part)]
     if odd:
-        return [
-            _wrong(f"{odd[0]!r} in the key: names are letters, digits, `_`, `.`, `-`, at most 64 of them")
-        ]
+        return [_wrong(f"{odd[0]!r} in the key: {NAME_RULE}")]
     return []
 
 

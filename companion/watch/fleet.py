@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
 from companion import wire_status
 from companion.link.zenoh_publish import Heard
+from companion.network_settings import is_name
 from companion.types import PhaseChange, Severity
 from companion.wire_status import StatusMessage
 
@@ -16,9 +16,6 @@ MOST_VEHICLES = 64
 """More are not followed: ids without end must not fill the memory."""
 SILENT_S = 2.0
 """A vehicle that is there and has not been heard for this long is silent."""
-
-
-_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 
 
 class Link(Enum):
@@ -127,7 +124,7 @@ class Fleet:
     def _vehicle(self, uav: str) -> Vehicle | None:
         if (vehicle := self._vehicles.get(uav)) is not None:
             return vehicle
-        if not _NAME.fullmatch(uav) or len(self._vehicles) >= MOST_VEHICLES:
+        if not is_name(uav) or len(self._vehicles) >= MOST_VEHICLES:
             self.turned_away += 1
             return None
         vehicle = self._vehicles[uav] = Vehicle(uav)

@@ -21,6 +21,13 @@ class News(NamedTuple):
     change: PhaseChange | None
 
 
+def unanswered(who: str, settings: RangesSettings, reason: str) -> str:
+    """That nobody answers; `reason` is Zenoh's, told where it says more than that."""
+    endpoints = ", ".join(settings.connect + settings.listen) or "whoever multicast finds"
+    why = f": {reason}" if reason and not reason.startswith("Unable to connect") else ""
+    return f"awaiting a router or {who} on {endpoints}: nobody answers there{why}"
+
+
 class Listener:
     """Follows the vehicles of a network. Single-threaded but for Zenoh's own threads."""
 
@@ -28,7 +35,7 @@ class Listener:
         """`uav`: one vehicle's id, or `*`. Raises OSError where an endpoint cannot be used."""
         self.fleet = Fleet()
         self._uav = uav
-        self._endpoints = ", ".join(settings.connect + settings.listen) or "whoever multicast finds"
+        self._settings = settings
         self._link = WatchLink(settings, status_key(uav), alive_key(uav), wire_status.MAX_PAYLOAD_BYTES)
 
     def poll(self) -> list[News]:
@@ -48,16 +55,12 @@ class Listener:
         if Link.LIVE in links:
             return ""
         if not self._link.connected():
-            return f"awaiting a router or a vehicle on {self._endpoints}: nobody answers there{self._why()}"
+            return unanswered("a vehicle", self._settings, self._link.reason)
         if Link.SILENT in links:
             return ""
         if links:
             return f"every vehicle is gone; awaiting one on {status_key(self._uav)}"
         return f"connected; awaiting a vehicle: nothing on {status_key(self._uav)} yet"
-
-    def _why(self) -> str:
-        reason = self._link.reason
-        return f": {reason}" if reason and not reason.startswith("Unable to connect") else ""
 
     def close(self) -> None:
         """Leave the network."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from companion import beacons, gate
 from companion.beacons import Beacon
 from companion.link.range_events import Raw, range_event
 from companion.link.zenoh_publish import Answer, Heard
-from companion.network_settings import BeaconSettings
+from companion.network_settings import BeaconSettings, is_name
 from companion.settings import Settings
 from companion.types import LineOfSight, Malformed, RangeSample, Verdict
 from companion.uwb import info
@@ -25,7 +24,6 @@ MOST_PAIRS = 256
 WINDOW_S = 3.0
 """Rates and sessions are those of the last so many seconds."""
 _KEPT = 1024
-_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 
 
 class BeaconRow(msgspec.Struct, frozen=True):
@@ -88,13 +86,13 @@ class Sensors:
     def alive(self, keys: Iterable[str]) -> None:
         """The liveliness tokens that are held now."""
         names = (key.split("/")[-2] for key in keys if key.count("/") >= 2)
-        self._alive = {name for name in names if _NAME.fullmatch(name)}
+        self._alive = {name for name in names if is_name(name)}
 
     def told(self, answers: Mapping[str, Answer]) -> None:
         """What beacons tell of themselves, by key."""
         for key, answer in answers.items():
             name = key.split("/")[-2] if key.count("/") >= 2 else ""
-            if _NAME.fullmatch(name):
+            if is_name(name):
                 try:
                     self._info[name] = info.decode(answer.payload)
                 except ValueError as error:
@@ -139,7 +137,7 @@ class Sensors:
     def _pair(self, beacon: str, tag: str) -> _Pair | None:
         if (pair := self._pairs.get((beacon, tag))) is not None:
             return pair
-        is_named = _NAME.fullmatch(beacon) and _NAME.fullmatch(tag)
+        is_named = is_name(beacon) and is_name(tag)
         if not is_named or len(self._pairs) >= MOST_PAIRS:
             self.turned_away += 1
             return None

@@ -10,6 +10,7 @@ from companion.link.zenoh_watch import WatchLink
 from companion.network_settings import BeaconSettings
 from companion.settings import Settings
 from companion.watch.fleet import Link
+from companion.watch.listen import unanswered
 from companion.watch.sensors import Sensors
 
 _ASK_S = 5.0
@@ -21,11 +22,9 @@ class SensorListener:
 
     def __init__(self, settings: Settings, known: Mapping[str, BeaconSettings] | None) -> None:
         """`known`: as in `Sensors`. Raises OSError where an endpoint cannot be used, CredentialsError."""
-        ranges = settings.ranges
+        self._ranges = ranges = settings.ranges
         self.sensors = Sensors(settings, known)
-        self._site = ranges.site
         self._key = wire_range.range_key(ranges.site, "*", ranges.tag)
-        self._endpoints = ", ".join(ranges.connect + ranges.listen) or "whoever multicast finds"
         tokens = wire_range.alive_key(ranges.site, "*")
         self._link = WatchLink(ranges, self._key, tokens, wire_range.MAX_PAYLOAD_BYTES)
         self._ask_at = 0.0
@@ -35,7 +34,7 @@ class SensorListener:
         now = time.monotonic()
         if self._link.is_open and now >= self._ask_at:
             self._ask_at = now + _ASK_S
-            self._link.ask(wire_range.info_key(self._site, "*"))
+            self._link.ask(wire_range.info_key(self._ranges.site, "*"))
         for heard in self._link.drain():
             self.sensors.take(heard)
         self.sensors.alive(self._link.alive())
@@ -47,7 +46,7 @@ class SensorListener:
         if Link.LIVE in links:
             return ""
         if not self._link.connected():
-            return f"awaiting a router or a beacon on {self._endpoints}: nobody answers there"
+            return unanswered("a beacon", self._ranges, self._link.reason)
         if Link.SILENT in links:
             return ""
         return f"connected; awaiting ranges: nothing on {self._key}"

@@ -35,11 +35,12 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _FILES = {
-    "/": ("page.html", "text/html; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-    "/map.js": ("map.js", "text/javascript; charset=utf-8"),
-    "/plots.js": ("plots.js", "text/javascript; charset=utf-8"),
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/": ("watch/page.html", "text/html; charset=utf-8"),
+    "/page.js": ("watch/page.js", "text/javascript; charset=utf-8"),
+    "/map.js": ("watch/map.js", "text/javascript; charset=utf-8"),
+    "/plots.js": ("watch/plots.js", "text/javascript; charset=utf-8"),
+    "/page.css": ("watch/page.css", "text/css; charset=utf-8"),
+    "/theme.css": ("theme.css", "text/css; charset=utf-8"),
 }
 """Everything that can be asked for, besides `/events`."""
 
@@ -112,7 +113,7 @@ class _Server(ThreadingHTTPServer):
         self.page = page
         self.name = bind.lower()
         self.files = {
-            path: (kind, resources.files(__package__).joinpath(name).read_bytes())
+            path: (kind, resources.files("companion").joinpath(name).read_bytes())
             for path, (name, kind) in _FILES.items()
         }
         self._places = threading.BoundedSemaphore(MOST_CLIENTS)

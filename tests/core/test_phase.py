@@ -14,17 +14,9 @@ from companion import phase
 from companion.guidance.scheme import PROBE, REFUSE, REST, STAY, TRACK
 from companion.phase import MOVING, STREAMING, TABLE, Company, Condition, Facts, Ranges
 from companion.types import FlightMode, Phase
+from tests.core.test_phase_table import FLIES, LOITER, OFFBOARD
 
-OFFBOARD, LOITER, LAND = FlightMode.OFFBOARD, FlightMode.AUTO_LOITER, FlightMode.AUTO_LAND
-FLYING = Facts(
-    actual=OFFBOARD,
-    intended=OFFBOARD,
-    armed=True,
-    was_engaged=True,
-    telemetry_late=False,
-    ranges=Ranges.FRESH,
-    purpose=TRACK,
-)
+LAND = FlightMode.AUTO_LAND
 ENGAGED = [p for p in Phase if p.is_engaged]
 
 
@@ -116,24 +108,24 @@ def test_no_combination_of_facts_leads_to_a_speed_or_a_stream_that_is_not_allowe
 @pytest.mark.parametrize("before", ENGAGED)
 def test_a_pilot_who_takes_over_silences_the_app_at_once(before: Phase) -> None:
     for intended in (LOITER, OFFBOARD, None):
-        after, why = phase.step(before, replace(FLYING, actual=LOITER, intended=intended, stop_asked=True))
+        after, why = phase.step(before, replace(FLIES, actual=LOITER, intended=intended, stop_asked=True))
         assert (after, why) == (Phase.RELEASED, Condition.LEFT_OFFBOARD)
     assert Phase.RELEASED not in STREAMING
 
 
 def test_released_is_left_only_when_another_mode_is_known_to_be_meant() -> None:
-    released = replace(FLYING, actual=LOITER)
+    released = replace(FLIES, actual=LOITER)
     assert phase.step(Phase.RELEASED, replace(released, intended=OFFBOARD))[0] is Phase.RELEASED
     assert phase.step(Phase.RELEASED, replace(released, intended=None))[0] is Phase.RELEASED
     assert phase.step(Phase.RELEASED, replace(released, intended=LOITER))[0] is Phase.AWAIT
-    assert phase.step(Phase.RELEASED, FLYING)[0] is Phase.RELEASED
+    assert phase.step(Phase.RELEASED, FLIES)[0] is Phase.RELEASED
 
 
 @pytest.mark.parametrize(("actual", "intended"), [(OFFBOARD, OFFBOARD), (LOITER, OFFBOARD), (OFFBOARD, None)])
 def test_started_in_mid_air_with_offboard_meant_it_only_watches(
     actual: FlightMode, intended: FlightMode | None
 ) -> None:
-    facts = replace(FLYING, actual=actual, intended=intended, was_engaged=False)
+    facts = replace(FLIES, actual=actual, intended=intended, was_engaged=False)
     assert phase.step(Phase.AWAIT, facts)[0] is Phase.INHIBITED
     assert phase.step(Phase.INHIBITED, facts)[0] is Phase.INHIBITED
     assert Phase.INHIBITED not in STREAMING
@@ -143,50 +135,50 @@ def test_started_in_mid_air_with_offboard_meant_it_only_watches(
 @pytest.mark.parametrize(
     ("before", "facts", "after"),
     [
-        (Phase.APPROACH, replace(FLYING, ranges=Ranges.LATE), Phase.COAST),
-        (Phase.APPROACH, replace(FLYING, ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
-        (Phase.COAST, replace(FLYING, ranges=Ranges.LATE), Phase.COAST),
-        (Phase.COAST, replace(FLYING, ranges=Ranges.STALE), Phase.STALL),
-        (Phase.STALL, replace(FLYING, ranges=Ranges.LOST), Phase.HAND_OVER),
-        (Phase.STALL, FLYING, Phase.ACQUIRE),
-        (Phase.HOLD, replace(FLYING, ranges=Ranges.LATE, purpose=REST), Phase.HOLD),
-        (Phase.APPROACH, replace(FLYING, budget_spent=True), Phase.HAND_OVER),
-        (Phase.APPROACH, replace(FLYING, stop_asked=True), Phase.HAND_OVER),
-        (Phase.APPROACH, replace(FLYING, telemetry_late=True), Phase.STALL),
-        (Phase.APPROACH, replace(FLYING, vehicle_gone=True), Phase.RELEASED),
-        (Phase.HOLD, replace(FLYING, held_up=True, stop_asked=True), Phase.RELEASED),
-        (Phase.HAND_OVER, replace(FLYING, held_up=True), Phase.RELEASED),
-        (Phase.STANDBY, replace(FLYING, held_up=True), Phase.AWAIT),
-        (Phase.HOLD, replace(FLYING, armed=False), Phase.ENDED),
-        (Phase.APPROACH, replace(FLYING, rebooted=True, armed=False), Phase.RELEASED),
-        (Phase.HAND_OVER, replace(FLYING, rebooted=True), Phase.RELEASED),
-        (Phase.STANDBY, replace(FLYING, rebooted=True, actual=None), Phase.AWAIT),
-        (Phase.INHIBITED, replace(FLYING, rebooted=True, actual=None), Phase.AWAIT),
-        (Phase.APPROACH, replace(FLYING, grounded=True), Phase.HAND_OVER),
-        (Phase.STALL, replace(FLYING, battery_low=True), Phase.HAND_OVER),
-        (Phase.STANDBY, replace(FLYING, battery_low=True, was_engaged=False), Phase.AWAIT),
-        (Phase.APPROACH, replace(FLYING, company=Company.COMMANDER), Phase.HAND_OVER),
-        (Phase.STANDBY, replace(FLYING, company=Company.COMMANDER, actual=LOITER), Phase.AWAIT),
-        (Phase.APPROACH, replace(FLYING, company=Company.OTHER_VEHICLE), Phase.APPROACH),
-        (Phase.STANDBY, replace(FLYING, company=Company.OTHER_VEHICLE, actual=LOITER), Phase.AWAIT),
-        (Phase.APPROACH, replace(FLYING, estimate_invalid=True), Phase.STALL),
-        (Phase.STALL, replace(FLYING, estimate_invalid=True), Phase.STALL),
-        (Phase.STALL, replace(FLYING, estimate_invalid=True, ranges=Ranges.LOST), Phase.HAND_OVER),
-        (Phase.STANDBY, replace(FLYING, estimate_invalid=True, actual=LOITER), Phase.AWAIT),
-        (Phase.HAND_OVER, replace(FLYING, hand_over_overdue=True), Phase.RELEASED),
-        (Phase.HAND_OVER, replace(FLYING, actual=LAND), Phase.RELEASED),
-        (Phase.ACQUIRE, FLYING, Phase.APPROACH),
-        (Phase.APPROACH, replace(FLYING, purpose=PROBE), Phase.ACQUIRE),
-        (Phase.APPROACH, replace(FLYING, purpose=REST), Phase.HOLD),
-        (Phase.APPROACH, replace(FLYING, purpose=STAY), Phase.KEEP),
-        (Phase.KEEP, replace(FLYING, purpose=STAY), Phase.KEEP),
-        (Phase.KEEP, FLYING, Phase.APPROACH),
-        (Phase.KEEP, replace(FLYING, ranges=Ranges.LATE, purpose=STAY), Phase.COAST),
-        (Phase.KEEP, replace(FLYING, ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
-        (Phase.COAST, replace(FLYING, purpose=STAY), Phase.KEEP),
-        (Phase.STALL, replace(FLYING, purpose=STAY), Phase.ACQUIRE),
-        (Phase.ACQUIRE, replace(FLYING, purpose=REFUSE), Phase.HAND_OVER),
-        (Phase.APPROACH, replace(FLYING, purpose=REFUSE), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLIES, ranges=Ranges.LATE), Phase.COAST),
+        (Phase.APPROACH, replace(FLIES, ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
+        (Phase.COAST, replace(FLIES, ranges=Ranges.LATE), Phase.COAST),
+        (Phase.COAST, replace(FLIES, ranges=Ranges.STALE), Phase.STALL),
+        (Phase.STALL, replace(FLIES, ranges=Ranges.LOST), Phase.HAND_OVER),
+        (Phase.STALL, FLIES, Phase.ACQUIRE),
+        (Phase.HOLD, replace(FLIES, ranges=Ranges.LATE, purpose=REST), Phase.HOLD),
+        (Phase.APPROACH, replace(FLIES, budget_spent=True), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLIES, stop_asked=True), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLIES, telemetry_late=True), Phase.STALL),
+        (Phase.APPROACH, replace(FLIES, vehicle_gone=True), Phase.RELEASED),
+        (Phase.HOLD, replace(FLIES, held_up=True, stop_asked=True), Phase.RELEASED),
+        (Phase.HAND_OVER, replace(FLIES, held_up=True), Phase.RELEASED),
+        (Phase.STANDBY, replace(FLIES, held_up=True), Phase.AWAIT),
+        (Phase.HOLD, replace(FLIES, armed=False), Phase.ENDED),
+        (Phase.APPROACH, replace(FLIES, rebooted=True, armed=False), Phase.RELEASED),
+        (Phase.HAND_OVER, replace(FLIES, rebooted=True), Phase.RELEASED),
+        (Phase.STANDBY, replace(FLIES, rebooted=True, actual=None), Phase.AWAIT),
+        (Phase.INHIBITED, replace(FLIES, rebooted=True, actual=None), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLIES, grounded=True), Phase.HAND_OVER),
+        (Phase.STALL, replace(FLIES, battery_low=True), Phase.HAND_OVER),
+        (Phase.STANDBY, replace(FLIES, battery_low=True, was_engaged=False), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLIES, company=Company.COMMANDER), Phase.HAND_OVER),
+        (Phase.STANDBY, replace(FLIES, company=Company.COMMANDER, actual=LOITER), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLIES, company=Company.OTHER_VEHICLE), Phase.APPROACH),
+        (Phase.STANDBY, replace(FLIES, company=Company.OTHER_VEHICLE, actual=LOITER), Phase.AWAIT),
+        (Phase.APPROACH, replace(FLIES, estimate_invalid=True), Phase.STALL),
+        (Phase.STALL, replace(FLIES, estimate_invalid=True), Phase.STALL),
+        (Phase.STALL, replace(FLIES, estimate_invalid=True, ranges=Ranges.LOST), Phase.HAND_OVER),
+        (Phase.STANDBY, replace(FLIES, estimate_invalid=True, actual=LOITER), Phase.AWAIT),
+        (Phase.HAND_OVER, replace(FLIES, hand_over_overdue=True), Phase.RELEASED),
+        (Phase.HAND_OVER, replace(FLIES, actual=LAND), Phase.RELEASED),
+        (Phase.ACQUIRE, FLIES, Phase.APPROACH),
+        (Phase.APPROACH, replace(FLIES, purpose=PROBE), Phase.ACQUIRE),
+        (Phase.APPROACH, replace(FLIES, purpose=REST), Phase.HOLD),
+        (Phase.APPROACH, replace(FLIES, purpose=STAY), Phase.KEEP),
+        (Phase.KEEP, replace(FLIES, purpose=STAY), Phase.KEEP),
+        (Phase.KEEP, FLIES, Phase.APPROACH),
+        (Phase.KEEP, replace(FLIES, ranges=Ranges.LATE, purpose=STAY), Phase.COAST),
+        (Phase.KEEP, replace(FLIES, ranges=Ranges.LATE, bearing_lost=True), Phase.STALL),
+        (Phase.COAST, replace(FLIES, purpose=STAY), Phase.KEEP),
+        (Phase.STALL, replace(FLIES, purpose=STAY), Phase.ACQUIRE),
+        (Phase.ACQUIRE, replace(FLIES, purpose=REFUSE), Phase.HAND_OVER),
+        (Phase.APPROACH, replace(FLIES, purpose=REFUSE), Phase.HAND_OVER),
     ],
 )
 def test_the_transitions_of_a_flight(before: Phase, facts: Facts, after: Phase) -> None:
@@ -198,7 +190,7 @@ def test_held_up_it_does_not_steer_whatever_it_still_believes(before: Phase) -> 
     yes_no = (False, True)
     for stop, spent, late, ranges in itertools.product(yes_no, yes_no, yes_no, Ranges):
         believed = replace(
-            FLYING, held_up=True, stop_asked=stop, budget_spent=spent, telemetry_late=late, ranges=ranges
+            FLIES, held_up=True, stop_asked=stop, budget_spent=spent, telemetry_late=late, ranges=ranges
         )
         assert phase.step(before, believed)[0] not in STREAMING
 
@@ -206,13 +198,13 @@ def test_held_up_it_does_not_steer_whatever_it_still_believes(before: Phase) -> 
 @pytest.mark.parametrize(
     ("facts", "condition"),
     [
-        (replace(FLYING, rebooted=True, armed=False, actual=None), Condition.REBOOTED),
-        (replace(FLYING, vehicle_gone=True, company=Company.OTHER_VEHICLE), Condition.VEHICLE_CHANGED),
-        (replace(FLYING, vehicle_gone=True), Condition.VEHICLE_GONE),
-        (replace(FLYING, company=Company.COMMANDER, budget_spent=True), Condition.SECOND_COMMANDER),
-        (replace(FLYING, grounded=True, battery_low=True), Condition.LANDED),
-        (replace(FLYING, battery_low=True, budget_spent=True), Condition.BATTERY_LOW),
-        (replace(FLYING, estimate_invalid=True, telemetry_late=True), Condition.ESTIMATE_INVALID),
+        (replace(FLIES, rebooted=True, armed=False, actual=None), Condition.REBOOTED),
+        (replace(FLIES, vehicle_gone=True, company=Company.OTHER_VEHICLE), Condition.VEHICLE_CHANGED),
+        (replace(FLIES, vehicle_gone=True), Condition.VEHICLE_GONE),
+        (replace(FLIES, company=Company.COMMANDER, budget_spent=True), Condition.SECOND_COMMANDER),
+        (replace(FLIES, grounded=True, battery_low=True), Condition.LANDED),
+        (replace(FLIES, battery_low=True, budget_spent=True), Condition.BATTERY_LOW),
+        (replace(FLIES, estimate_invalid=True, telemetry_late=True), Condition.ESTIMATE_INVALID),
     ],
 )
 def test_what_happens_to_the_vehicle_has_its_own_name(facts: Facts, condition: Condition) -> None:

@@ -124,7 +124,7 @@ def ask(
 
 
 def test_it_answers_its_own_paths_only_and_gives_no_directory(told: Told) -> None:
-    for path in ("/", "/page.js", "/map.js", "/plots.js", "/page.css", "/?x=1"):
+    for path in ("/", "/page.js", "/map.js", "/plots.js", "/page.css", "/theme.css", "/?x=1"):
         answer = ask(told.page, path)
         assert answer.status == 200 and answer.read()
         assert "default-src 'none'" in (answer.getheader("Content-Security-Policy") or "")

@@ -103,7 +103,7 @@ def test_what_is_no_range_is_told_and_not_sent() -> None:
     assert "TX_FAILED 1×" in wire.sender.tally.text(parser)
 
 
-@pytest.mark.parametrize("peer", ["*", "a/b", "**", "", "a" * 65, "$*", "b 1", "ü"])
+@pytest.mark.parametrize("peer", ["*", "a/b", "**", "", "a" * 65, "$*", "b 1", "ü", "b1\n"])
 def test_a_peer_cannot_write_to_another_key(peer: str) -> None:
     wire = Wire(module())
     wire.sender.send(Measured(peer=peer, range_m=2.0))
