@@ -199,7 +199,7 @@ _NOT_UP = frozenset({Landed.ON_GROUND, Landed.TAKING_OFF, Landed.UNKNOWN})
 
 
 def _facts(p: Plan, s: State, t_ns: int) -> Facts:
-    cfg = p.settings.loss
+    cfg, is_engaged = p.settings.loss, s.phase.is_engaged
     ardupilot = p.settings.vehicle.kind == "ardupilot"
     v = _as_if_selected(s) if p.settings.mission.shadow else s.vehicle
     range_age_s = age_s(s.ranging.t_enough_ns, t_ns)
@@ -214,9 +214,9 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         ranges = Ranges.STALE if range_age_s <= cfg.hand_over_after_s else Ranges.LOST
     in_phase_s, sent = age_s(s.t_phase_ns, t_ns), s.steering.setpoint
     held_up = (
-        in_phase_s > cfg.held_up_after_s
+        age_s(None if sent is None else sent.t_ns, t_ns) > cfg.held_up_after_s
+        and in_phase_s > cfg.held_up_after_s
         and s.phase in _streaming(p)
-        and age_s(None if sent is None else sent.t_ns, t_ns) > cfg.held_up_after_s
     )
     h = s.health
     facts = Facts(
@@ -231,8 +231,7 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         telemetry_late=age_s(v.t_attitude_ns, t_ns) > cfg.telemetry_after_s,
         ranges=ranges,
         bearing_lost=bearing_lost,
-        budget_spent=s.phase.is_engaged
-        and limits.spent(p.settings.limits, s.steering.limits, t_ns) is not None,
+        budget_spent=is_engaged and limits.spent(p.settings.limits, s.steering.limits, t_ns) is not None,
         hand_over_overdue=s.phase in phase.ASKING
         and (s.flight.hand_over_to == "release" or in_phase_s > cfg.hand_over_patience_s),
         purpose=s.steering.command.purpose,
@@ -241,9 +240,9 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
         company=who(p, s, t_ns) if h.commander or h.other_vehicle else Company.NOBODY,
         battery_low=h.battery_low,
         # A height is needed to begin with; once engaged the one to hold is known.
-        estimate_invalid=t_ns < h.unfit_until_ns or (_needs_height(p, s) and height_m(p, s, t_ns) is None),
+        estimate_invalid=t_ns < h.unfit_until_ns or (not is_engaged and _lacks_height(p, s, t_ns)),
     )
-    return _insisting(facts) if ardupilot and s.phase.is_engaged else facts
+    return _insisting(facts) if ardupilot and is_engaged else facts
 
 
 def _insisting(f: Facts) -> Facts:
@@ -255,8 +254,8 @@ def _insisting(f: Facts) -> Facts:
     return replace(f, vehicle_gone=False, held_up=False, hand_over_overdue=False, budget_spent=spent)
 
 
-def _needs_height(p: Plan, s: State) -> bool:
-    return p.settings.vehicle.setpoint_frame == "local_ned" and not s.phase.is_engaged
+def _lacks_height(p: Plan, s: State, t_ns: int) -> bool:
+    return p.settings.vehicle.setpoint_frame == "local_ned" and height_m(p, s, t_ns) is None
 
 
 def _as_if_selected(s: State) -> Vehicle:

@@ -56,6 +56,8 @@ class FlightMode(Enum):
 class Landed(Enum):
     """EXTENDED_SYS_STATE.landed_state."""
 
+    __hash__ = object.__hash__  # as above
+
     UNKNOWN = "unknown"
     ON_GROUND = "on ground"
     IN_AIR = "in air"
