@@ -37,9 +37,11 @@ FLUSH_S = 0.75
 BACKLOG = 65_536
 """Events and outputs that wait for the disk at most: about four minutes of a flight, some 20 MB."""
 
-_POLL_S = 0.05
+_POLL_S = 0.15
 _BATCH = 64
 """Encoded in one go at most, so that the flying loop never waits long for the interpreter."""
+_BATCHES = 16
+"""A turn encodes so many of them at most: whatever comes, the disk gets what there is in time."""
 _SILENT_S = 3.0
 """A disk that has not answered for this long is told."""
 _LIBRARIES = ("eclipse-zenoh", "mcap", "msgspec", "pymavlink")
@@ -348,7 +350,10 @@ class Recorder:
         while not self._stop.wait(_POLL_S):
             self._t_alive = time.monotonic()
             if not self._rest:  # else the disk refuses: what comes waits in the backlog
-                self._encode(writer)
+                for _ in range(_BATCHES):
+                    if not self._encode(writer):
+                        break
+                    time.sleep(0.0)  # between batches whoever waits for the interpreter gets it
             if self._t_alive >= t_flush:
                 t_flush = self._t_alive + FLUSH_S
                 writer.flush()

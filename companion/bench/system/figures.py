@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import sysconfig
 from collections.abc import Iterable
 
 import msgspec
@@ -137,7 +138,9 @@ def _number(value: float) -> str:
 def here(load: float) -> Machine:
     """This machine."""
     system = f"{platform.system()} {platform.machine()}"
-    return Machine(platform.python_version(), system, os.cpu_count() or 1, round(load, 1))
+    is_optimised = "--enable-optimizations" in str(sysconfig.get_config_var("CONFIG_ARGS"))
+    built = "" if is_optimised else " (built without --enable-optimizations)"
+    return Machine(platform.python_version() + built, system, os.cpu_count() or 1, round(load, 1))
 
 
 def quantile(values: Iterable[float], share: float) -> float:
