@@ -87,7 +87,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     simulated.add_argument("--seed", type=int, default=1)
 
     check = parser.add_argument_group("--check")
-    check.add_argument("--seconds", type=float, default=5.0, help="listen this long")
+    check.add_argument("--seconds", metavar="S", type=float, help="listen this long (5)")
     check.add_argument("--strict", action="store_true", help="advice counts as wrong, too")
 
 
@@ -96,11 +96,13 @@ def run(args: argparse.Namespace) -> int:
     from companion import publish
 
     if args.check is None:
+        if args.seconds is not None or args.strict:
+            raise ValueError("--seconds and --strict are for --check; a publisher ends with Ctrl-C")
         return publish.publish(publication(args), _say)
     report = publish.check(
         args.check,
         _say,
-        seconds=args.seconds,
+        seconds=5.0 if args.seconds is None else args.seconds,
         connect=tuple(args.zenoh_connect),
         listen=tuple(args.zenoh_listen),
         tls=args.tls,

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from enum import Enum
+from io import FileIO
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple
@@ -85,6 +86,11 @@ class Publication:
             raise ValueError(f"{self.encoding}: {wire_range.JSON} or {wire_range.MSGPACK}")
         if self.sigma_m is not None and not 0.0 < self.sigma_m <= 1_000.0:
             raise ValueError(f"sigma {self.sigma_m} m: must be above 0 and at most 1000")
+        for info in (self.info, *self.infos.values()):
+            try:
+                msgspec.convert(msgspec.to_builtins(info), BeaconInfo)
+            except msgspec.ValidationError as error:  # a vehicle would refuse it unseen
+                raise ValueError(f"what the beacon tells of itself: {error}") from error
         _check_source(self.source)
         if not self.connect and not self.listen:
             raise ValueError("nowhere to publish to: name an endpoint to connect to or to listen on")
@@ -234,7 +240,7 @@ def publish(publication: Publication, say: _Say, stop: Event | None = None) -> E
                 stop = _until_signal(stack)
             link = PublishLink(RangesSettings(p.site, p.tag, p.connect, p.listen, tls=p.tls), p.encoding)
             stack.callback(link.close)
-            save = stack.enter_context(p.save.open("wb")) if p.save is not None else None
+            save = None if p.save is None else stack.enter_context(p.save.open("wb", buffering=0))
             sender = Sender(p, link.announce, link.put)
             say(f"publishing {wire_range.range_key(p.site, p.beacon or '*', '*' if p.beacon else p.tag)}")
             if isinstance(p.source, Recording) and p.source.path is not None:
@@ -245,8 +251,9 @@ def publish(publication: Publication, say: _Say, stop: Event | None = None) -> E
                 for m in batch:
                     if (news := sender.send(m)) is not None:
                         say(news)
-                    if save is not None:
-                        save.write(msgspec.json.encode(_timed(m)) + b"\n")
+                    if save is not None and (trouble := _kept(save, m)):
+                        say(f"--save {p.save}: {trouble}: not kept any more")
+                        save = None
                 now = time.monotonic()
                 if now >= look_at:
                     look_at = now + _LOOK_S
@@ -282,6 +289,15 @@ def _until_signal(stack: ExitStack) -> Event:
     for number in (signal.SIGINT, signal.SIGTERM):
         stack.callback(signal.signal, number, signal.signal(number, lambda *_: stop.set()))
     return stop
+
+
+def _kept(save: FileIO, m: Measured) -> str:
+    """Keep a measurement; the result says why that cannot be: vehicles fly by the ranges, not by the file."""
+    try:
+        save.write(msgspec.json.encode(_timed(m)) + b"\n")
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
 
 
 def _timed(m: Measured) -> Measured:

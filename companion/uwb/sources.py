@@ -205,7 +205,13 @@ def _from_port(
 
 def _open(port: SerialPort, family: Family) -> serial.Serial:
     baud = port.baud if port.baud is not None else _BAUD.get(family, 115_200)
-    return serial.Serial(port.device, baud, timeout=_READ_S, write_timeout=1.0, exclusive=True)
+    try:
+        return serial.Serial(port.device, baud, timeout=_READ_S, write_timeout=1.0, exclusive=True)
+    except serial.SerialException as error:
+        raise OSError(
+            f"{port.device}: {error.strerror or error}; is it there, is no other program using it, and may "
+            "you open it (group dialout)?"
+        ) from error
 
 
 def _while_open(

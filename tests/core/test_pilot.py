@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion import pilot
+from companion.guidance.scheme import Command
 from companion.settings import LimitSettings, LossSettings, Settings, StreamSettings, VehicleSettings
 from companion.types import (
     Attitude,
@@ -132,6 +134,21 @@ def test_started_in_mid_air_it_stays_silent_until_it_knows_that_offboard_is_not_
     told = fly(script.run(1.0), before=flown)
     assert told.state.phase is Phase.INHIBITED
     assert not setpoints(told)
+
+
+def test_what_was_meant_long_ago_does_not_count() -> None:
+    """OFFBOARD may have been chosen unheard, and refused: a stream would bring it about."""
+    script = Script()
+    ready = fly(script.run(2.0))
+    script.range_m = None
+    waiting = fly(script.run(5.0), before=ready)
+    assert waiting.state.phase is Phase.AWAIT
+    script.tells_mode = False  # HEARTBEAT alone comes, and says Hold
+    unheard = fly(script.run(2.0), before=waiting)
+    script.range_m = 10.0
+    back = fly(script.run(3.0), before=unheard)
+    assert back.state.phase is Phase.AWAIT
+    assert not setpoints(back)
 
 
 def test_started_in_mid_air_in_offboard_it_stays_silent() -> None:
@@ -313,6 +330,13 @@ def test_waiting_for_nothing_ends() -> None:
     assert "HEARTBEAT" in last_status(flown).awaited[0]
 
 
+def test_who_was_ready_once_is_waited_for_without_end() -> None:
+    script = Script()
+    ready = fly(script.run(2.0), Settings(loss=LossSettings(wait_s=3.0)))
+    script.range_m = None
+    assert fly(script.run(10.0), before=ready).state.phase is Phase.AWAIT
+
+
 def test_ctrl_c_ends_it_also_while_nothing_is_there() -> None:
     assert fly([Tick(MS), StopRequest(2 * MS)]).state.phase is Phase.ENDED
 
@@ -336,6 +360,55 @@ def test_the_stream_keeps_between_its_rates() -> None:
     script.range_m = None
     quiet = setpoints(fly(script.run(2.0), before=flooded))
     assert len(quiet) >= 38
+
+
+def test_the_time_of_a_standstill_is_no_turn_flown() -> None:
+    """The guidance counts how long it has turned by the time since its last command."""
+    steps_s: list[float] = []
+
+    def noting(p: Any, s: Any, dt_s: float, yaw_rate_rad_s: float) -> tuple[Any, Command]:
+        steps_s.append(dt_s)
+        return before.plan.scheme.command(p, s, dt_s, yaw_rate_rad_s)
+
+    script = Script()
+    before = engaged(script)
+    plan = msgspec.structs.replace(before.plan, scheme=before.plan.scheme._replace(command=noting))
+    script.tells_attitude = False
+    blind = fly(script.run(2.5), before=before._replace(plan=plan))
+    assert blind.state.phase is Phase.STALL
+    script.tells_attitude = True
+    fly(script.run(0.5), before=blind)
+    assert steps_s
+    assert max(steps_s) < 0.2
+
+
+def bearing(flown: Flown) -> float:
+    known = flown.plan.scheme.knowledge(flown.plan.scheme.p, flown.state.observing.guidance)
+    return float(known.theta_rad)
+
+
+def test_a_reset_of_the_autopilots_heading_is_no_turn() -> None:
+    script = Script()
+    before = fly(script.run(1.0), before=engaged(script))
+    t_ns = (script.t_ms + 10) * MS
+    for heading_rad, turned_rad in ((0.1, 0.1), (1.1, 0.0)):
+        after = fly([Attitude(t_ns, heading_rad, 0.0, script.t_ms)], before=before)
+        assert bearing(after) - bearing(before) == pytest.approx(turned_rad, abs=0.02)
+
+
+def test_a_reset_of_the_autopilots_position_is_no_move() -> None:
+    script = Script()
+    before = fly(script.run(1.0), before=engaged(script))
+    assert last_status(before).estimate is not None
+    moved = []
+    for x_m in (0.0, 6.0):
+        t_ns = (script.t_ms + 10) * MS
+        told = [
+            LocalMotion(t_ns, x_m, 0.0, 3.0, 0.0, 0.0, 0.0),
+            Attitude(t_ns + 20 * MS, 0.0, 0.0, script.t_ms),
+        ]
+        moved.append(bearing(fly(told, before=before)))
+    assert moved[0] == pytest.approx(moved[1], abs=1e-6)
 
 
 def test_a_fresh_range_steers_at_once() -> None:

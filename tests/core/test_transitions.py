@@ -130,6 +130,7 @@ def test_a_restart_before_the_flight_is_waited_for() -> None:
     back = fly(script.run(2.0), before=ready)
     assert change_to(back, Phase.AWAIT).reason == "the autopilot restarted"
     assert back.state.phase is Phase.STANDBY
+    assert not fly(script.run(1.0), before=back).of(PhaseChange)  # it restarted once
 
 
 def test_a_late_packet_is_no_restart_and_turns_nothing() -> None:
@@ -203,12 +204,13 @@ def test_without_a_valid_velocity_it_waits_and_names_the_parameters() -> None:
     assert "no offboard signal" in awaited
 
 
-def test_local_ned_needs_a_position_and_body_ned_does_not() -> None:
+@pytest.mark.parametrize("height_m", [None, 3.0])
+def test_local_ned_needs_a_position_and_body_ned_does_not(height_m: float | None) -> None:
     for frame, phase in (("local_ned", Phase.AWAIT), ("body_ned", Phase.STANDBY)):
         script = Script()
         assert script.estimator is not None
         script.estimator = replace(script.estimator, position=False, global_position=False)
-        script.height_m = None
+        script.height_m = height_m
         settings = Settings(vehicle=VehicleSettings(setpoint_frame=frame))  # type: ignore[arg-type]
         assert fly(script.run(2.0), settings).state.phase is phase
 

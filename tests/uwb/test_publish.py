@@ -135,6 +135,23 @@ def test_from_a_file_as_messagepack_and_kept(network: Router, tmp_path: Path) ->
     assert play(kept, Family.JSON_LINES, speed=100.0) == play(path, Family.JSON_LINES, speed=100.0)
 
 
+def test_a_full_disk_ends_the_keeping_and_not_the_ranges(network: Router, tmp_path: Path) -> None:
+    path = tmp_path / "in.jsonl"
+    path.write_bytes(JSON_LINES * 20)
+    subscriber = Subscriber(network.session)
+    publication = Publication(
+        Recording(path, speed=100.0),
+        Family.JSON_LINES,
+        connect=(network.endpoint,),
+        save=Path("/dev/full"),
+    )
+    with publishing(publication) as running:
+        until(lambda: bool(running.ended), "the end of the file")
+    assert running.ended == [Exit.OK]
+    assert sum("No space left" in line for line in running.said) == 1
+    until(lambda: len(subscriber.samples) >= 20, "ranges")
+
+
 def test_from_standard_input(network: Router) -> None:
     subscriber = Subscriber(network.session)
     code = (

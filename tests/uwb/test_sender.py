@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 import pytest
@@ -127,6 +128,8 @@ def test_invented_peers_are_bounded() -> None:
         ({"sigma_m": 0.0}, "sigma"),
         ({"encoding": "text/plain"}, "text/plain"),
         ({"los": LosRule.POWER}, "power"),
+        ({"info": BeaconInfo(height_m=math.nan)}, "height_m"),
+        ({"infos": {"b1": BeaconInfo(bias_m=1e9)}}, "bias_m"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(options: dict[str, object], words: str) -> None:
