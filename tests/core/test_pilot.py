@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 
 from companion import pilot
 from companion.guidance.scheme import Command
-from companion.settings import LimitSettings, LossSettings, Settings, StreamSettings, VehicleSettings
+from companion.settings import (
+    LimitSettings,
+    LossSettings,
+    MissionSettings,
+    Settings,
+    StreamSettings,
+    VehicleSettings,
+)
 from companion.types import (
     Attitude,
     BeaconTold,
@@ -255,6 +262,16 @@ def test_by_a_height_that_is_not_told_any_more_it_does_not_climb() -> None:
     assert setpoints(blind)[-1].climb_m_s == 0.0
 
 
+@pytest.mark.parametrize("shadow", [False, True])
+def test_a_shadow_does_not_take_its_own_commands_for_flown(shadow: bool) -> None:
+    """Where no velocity comes the motion is modelled by what was sent, and a shadow sends nothing."""
+    script = Script()
+    before = engaged(script, Settings(mission=MissionSettings(shadow=shadow)))
+    assert before.state.phase.is_engaged
+    after = fly(without_motion(script.run(2.0)), before=before)
+    assert (last_status(after).path_m > last_status(before).path_m + 0.05) is not shadow
+
+
 def test_a_height_of_long_ago_is_not_the_one_to_hold() -> None:
     script = Script()
     ready = fly(script.run(2.0))
@@ -401,10 +418,10 @@ def test_a_reset_of_the_autopilots_position_is_no_move() -> None:
     before = fly(script.run(1.0), before=engaged(script))
     assert last_status(before).estimate is not None
     moved = []
-    for x_m in (0.0, 6.0):
+    for y_m in (0.0, 6.0):
         t_ns = (script.t_ms + 10) * MS
         told = [
-            LocalMotion(t_ns, x_m, 0.0, 3.0, 0.0, 0.0, 0.0),
+            LocalMotion(t_ns, 0.0, y_m, 3.0, 0.0, 0.0, 0.0),
             Attitude(t_ns + 20 * MS, 0.0, 0.0, script.t_ms),
         ]
         moved.append(bearing(fly(told, before=before)))
