@@ -24,12 +24,17 @@ class Bell:
     """Wakes the loop from another thread or a signal handler."""
 
     def __init__(self) -> None:
-        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._reader, False)
+        os.set_blocking(self._writer, False)
         self.stop_asked = False
 
     def ring(self) -> None:
-        """Wake the loop."""
-        os.eventfd_write(self._event, 1)
+        """Wake the loop; a full pipe means that it is awake already."""
+        try:  # not `suppress`: this is on the way of every range
+            os.write(self._writer, b"\0")
+        except BlockingIOError:
+            return
 
     def ask_stop(self) -> None:
         """Wake the loop and end the flight in an orderly way."""
@@ -38,19 +43,20 @@ class Bell:
 
     def fileno(self) -> int:
         """The descriptor to wait on."""
-        return self._event
+        return self._reader
 
     def silence(self) -> None:
-        """Take back the rings so far."""
+        """Take back the rings so far. Of more than fit in one go the rest wakes once more."""
         try:
-            os.eventfd_read(self._event)
+            os.read(self._reader, 4096)
         except BlockingIOError:
             return
 
     def close(self) -> None:
-        """Give the descriptor back."""
-        os.close(self._event)
-        self._event = -1  # a late ring fails, instead of going to whoever has the number next
+        """Give both ends back."""
+        os.close(self._reader)
+        os.close(self._writer)
+        self._reader = self._writer = -1  # a late ring fails, instead of going to who has the number next
 
 
 def live(vehicle: VehicleLink, ranges: RangeLink, bell: Bell) -> Iterator[Event]:

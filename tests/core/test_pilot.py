@@ -38,6 +38,7 @@ from companion.types import (
     Phase,
     PhaseChange,
     RangeSample,
+    RangeVerdict,
     Setpoint,
     Status,
     StopRequest,
@@ -426,6 +427,18 @@ def test_a_reset_of_the_autopilots_position_is_no_move() -> None:
         ]
         moved.append(bearing(fly(told, before=before)))
     assert moved[0] == pytest.approx(moved[1], abs=1e-6)
+
+
+def test_telemetry_makes_no_setpoint_and_nor_does_a_range_that_is_not_believed() -> None:
+    script = Script()
+    flown = engaged(script)
+    script.t_ms += 60  # a setpoint is due
+    t_ns = script.t_ms * MS
+    told = [ModeReport(t_ns, OFFBOARD, OFFBOARD), RangeSample(t_ns, "b1", "s", script.seq, 10.0)]
+    after = fly(told, before=flown)
+    assert not after.of(Setpoint)
+    assert after.of(RangeVerdict)
+    assert fly([Tick(t_ns)], before=after).of(Setpoint)
 
 
 def test_a_fresh_range_steers_at_once() -> None:

@@ -66,6 +66,25 @@ def test_ranges_that_waited_while_the_loop_stood_still_do_not_hide_that(
     still.bell.close()
 
 
+def test_it_ticks_when_it_is_awake_anyway_and_otherwise_every_25_ms(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_ns = 0
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns)
+    bell, still, ranges = Bell(), Still(), Waiting()
+    events = live(cast(VehicleLink, still), cast(RangeLink, ranges), bell)
+    seen = [next(events)]
+    for t_ms in (4, 12):
+        now_ns = t_ms * MS
+        ranges.came.append(RangeSample(now_ns, "b1", "s", t_ms, 10.0))
+        bell.ring()
+        seen.append(next(events))
+    seen.append(next(events))
+    now_ns = 37 * MS
+    seen.append(next(events))
+    assert [e.t_ns // MS for e in seen if isinstance(e, Tick)] == [0, 12, 37]
+    bell.close()
+    still.bell.close()
+
+
 def test_a_link_that_is_flooded_leaves_the_loop_its_turn() -> None:
     wire, now_ns = Wire(), 0
 
