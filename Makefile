@@ -8,7 +8,9 @@ BIN := .venv/bin
 demo: .venv/installed
 	$(BIN)/companion demo --config config/demo.toml
 
-# three workers for two cores: many tests wait
+# Three workers for two cores: many tests wait. Bytecode is kept, whatever the environment says: a hundred
+# processes start.
+test: export PYTHONDONTWRITEBYTECODE =
 test: .venv/installed
 	$(BIN)/pytest -n 3 --dist loadfile -rs
 
