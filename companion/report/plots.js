@@ -3,7 +3,7 @@
 const told = series.answers.t.length + series.transports.t.length > 0;
 const ROWS = [
   { key: "phase", share: 0.5, title: "" },
-  { key: "range", share: 3, title: "range and distance, m" },
+  { key: "range", share: 3, title: "distances, m" },
   { key: "bearing", share: 2.3, title: "bearing, ° (right positive)" },
   { key: "speed", share: 1.7, title: "forward speed, m/s" },
   { key: "yaw", share: 1.7, title: "yaw rate, °/s (left positive)" },

@@ -114,7 +114,7 @@ def test_the_plots_share_their_time_and_show_the_phases(seen: Seen) -> None:
     titles = page.evaluate(
         "[...document.querySelectorAll('#plots .annotation-text')].map(t => t.textContent)", list[str]
     )
-    for row in ("range and distance", "bearing", "forward speed", "yaw rate", "height", "latency"):
+    for row in ("distances", "bearing", "forward speed", "yaw rate", "height", "latency"):
         assert any(title.startswith(row) for title in titles), row
     bands = page.evaluate("document.querySelectorAll('#plots .shapelayer path').length", int)
     assert bands == 1 + sum(p.phase.is_engaged for p in seen.figures.phases)
