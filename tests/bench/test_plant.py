@@ -44,7 +44,7 @@ def test_the_bound_mirrors(d: float, theta: float, wind: float, azimuth: float) 
     assert one == pytest.approx(other, abs=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(d=st.floats(2.0, 12.0), theta=ANGLE, wind=st.floats(0.0, 0.3), azimuth=ANGLE)
 @example(d=12.0, theta=math.pi, wind=0.25390625, azimuth=0.0)
 def test_no_flight_is_earlier_than_the_bound_and_the_best_attains_it(

@@ -152,7 +152,7 @@ def test_a_publisher_without_stamps_may_change_its_rate(before_ms: int, after_ms
     assert set(told[-180:]) == {Verdict.ACCEPTED}
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32))
 @example(162180)
 def test_jitter_and_losses_make_no_range_without_a_stamp_stale(seed: int) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from companion import pilot
@@ -527,7 +527,6 @@ any_event = st.one_of(
 )
 
 
-@settings(deadline=None)
 @given(st.lists(any_event, max_size=60), st.booleans())
 def test_any_events_in_any_order_give_bounded_and_finite_output(events: list[Event], flying: bool) -> None:
     script = Script()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.guidance.model import shortest_path_m
@@ -89,7 +89,6 @@ def test_without_positions_it_says_so(tmp_path: Path) -> None:
         draw(tmp_path / "none.png", [status(0.0, x_m=None, y_m=None)])
 
 
-@settings(deadline=None)
 @given(d=st.floats(0.6, 30.0), theta=st.floats(-math.pi, math.pi), heading=st.floats(-math.pi, math.pi))
 def test_the_dashed_line_is_the_shortest_path(d: float, theta: float, heading: float) -> None:
     azimuth = heading - theta

@@ -6,7 +6,7 @@ import math
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.guidance.model import shortest_path_m
@@ -123,7 +123,6 @@ def test_memory_is_bounded_and_the_ends_are_kept() -> None:
     assert trail[-1].t_s - trail[0].t_s == pytest.approx(0.1 * (5 * TRAIL_LIMIT - 1))
 
 
-@settings(deadline=None)
 @given(
     x=st.floats(-50, 50), y=st.floats(-50, 50), heading=st.floats(-math.pi, math.pi),
     tx=st.floats(-50, 50), ty=st.floats(-50, 50),

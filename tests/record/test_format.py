@@ -75,7 +75,7 @@ ITEMS = st.one_of(*map(struct_of, RECORDED.values()))
 
 
 @given(st.lists(ITEMS, max_size=12))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_every_event_and_output_reads_back_bit_for_bit(tmp_path: Path, items: list[Item]) -> None:
     items = [Tick(t_ns=0), *items]
     recording = read(in_file(tmp_path / "f.mcap", items))

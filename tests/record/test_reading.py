@@ -17,7 +17,9 @@ from companion.replay import replay
 from companion.types import Tick
 from tests.record.flights import flown, start
 
-MANY = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+MANY = settings(
+    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 
 
 BEGIN = start()

@@ -97,7 +97,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True, width=32)
 @given(
     frame=st.integers(0, 21), mask=st.integers(0, 65535), fields=st.lists(numbers, min_size=11, max_size=11)
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_no_setpoint_breaks_the_autopilot(frame: int, mask: int, fields: list[float]) -> None:
     bench = in_air()
     bench.px4.intended = Mode.OFFBOARD
@@ -109,7 +109,7 @@ def test_no_setpoint_breaks_the_autopilot(frame: int, mask: int, fields: list[fl
 
 
 @given(st.integers(0, 600), st.lists(numbers, min_size=7, max_size=7))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_no_command_breaks_the_autopilot(command: int, fields: list[float]) -> None:
     bench = Bench()
     bench.command(command, *fields)

@@ -90,7 +90,7 @@ def test_without_motors_it_falls() -> None:
 
 
 @given(st.lists(st.tuples(speeds, speeds, speeds, speeds), min_size=1, max_size=20))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_bounded_commands_give_bounded_motion(commands: list[tuple[float, float, float, float]]) -> None:
     vehicle = flying(Scenario(), height_m=50.0)
     for command in commands:
@@ -103,7 +103,7 @@ def test_bounded_commands_give_bounded_motion(commands: list[tuple[float, float,
 
 
 @given(st.lists(st.tuples(speeds, speeds, speeds), min_size=1, max_size=12))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_motion_is_mirror_symmetric(commands: list[tuple[float, float, float]]) -> None:
     """Mirrored commands give the mirrored flight."""
     one, other = flying(Scenario()), flying(Scenario())

@@ -178,7 +178,7 @@ def test_telemetry_that_is_never_told() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_random_start_is_in_the_ring_around_the_first_beacon(seed: int) -> None:
     scenario = Scenario(random_start=True, beacons=(BeaconAt(x_m=7.0, y_m=-3.0), BeaconAt(id="b2")))
     x, y, _ = start_pose(scenario, seed)

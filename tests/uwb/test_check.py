@@ -140,7 +140,7 @@ def test_more_than_was_kept() -> None:
 
 
 @given(st.lists(st.tuples(st.binary(max_size=60), st.sampled_from([JSON, MSGPACK, "x", ""])), max_size=8))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_no_payload_is_too_odd_to_be_judged(samples: list[tuple[bytes, str]]) -> None:
     judge(KEY, [heard(i, payload, encoding=encoding) for i, (payload, encoding) in enumerate(samples)])
 

@@ -65,7 +65,7 @@ cut_streams = st.tuples(
 
 
 @given(cut_streams)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_the_result_does_not_depend_on_how_the_stream_is_cut(
     stream: tuple[Sample, int, list[int]],
 ) -> None:
@@ -86,7 +86,7 @@ def test_the_result_does_not_depend_on_how_the_stream_is_cut(
 
 
 @given(st.sampled_from(list(Family)), st.lists(st.binary(max_size=300), max_size=10))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_no_bytes_raise_and_little_is_kept(family: Family, chunks: list[bytes]) -> None:
     parser = open_parser(family)
     for chunk in chunks:

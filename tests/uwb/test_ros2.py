@@ -69,7 +69,7 @@ def test_what_is_no_range_is_refused(payload: bytes) -> None:
 
 
 @given(st.binary(max_size=80), st.integers(0, 44))
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 def test_no_bytes_raise_anything_else(noise: bytes, keep: int) -> None:
     for payload in (noise, JAZZY[:keep] + noise, JAZZY[:keep] + noise + JAZZY[keep + len(noise) :]):
         try:
@@ -97,7 +97,7 @@ def stores() -> tuple[Any, Any]:
 
 
 @given(messages)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_rosbags_reads_and_writes_the_same(
     stores: tuple[Any, Any], m: tuple[int, int, str, int, tuple[float, ...], bool]
 ) -> None:
