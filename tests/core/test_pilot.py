@@ -449,6 +449,8 @@ def test_a_fresh_range_steers_at_once() -> None:
     flown = fly([RangeSample(t_ns, "b1", "s", script.seq, 10.0)], before=before)
     (sent,) = setpoints(flown)
     assert sent.t_ns == t_ns
+    again = RangeSample(t_ns + 25 * MS, "b1", "s", script.seq, 10.0)
+    assert not setpoints(fly([again], before=flown))  # what is not believed does not steer
 
 
 def test_the_heartbeat_follows_the_phase() -> None:
