@@ -128,6 +128,23 @@ def test_a_signal_ends_it_in_an_orderly_way(number: signal.Signals) -> None:
     assert "Traceback" not in err
 
 
+def test_systemd_hears_of_it_from_the_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(BOUND_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        process = start(*fly())
+        told = [manager.recv(4096) for _ in range(2)]
+        process.send_signal(signal.SIGSTOP)  # the loop hangs: its watchdog must hear nothing
+        manager.settimeout(1.5)
+        with pytest.raises(TimeoutError):
+            while True:
+                told.append(manager.recv(4096))
+        process.kill()
+        process.communicate(timeout=BOUND_S)
+    assert b"READY=1\nWATCHDOG=1" in told
+
+
 @pytest.mark.parametrize("arguments", [("--help",), ("fly", "--help"), ("sim", "--help"), ("--version",)])
 def test_help_and_version(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of(arguments) == Exit.OK
