@@ -85,6 +85,10 @@ def load(
     return Loaded(config, sources)
 
 
+_AUTOPILOTS_COMPONENT_ID = 1
+_LATE_SPACINGS = 2.0
+
+
 def contradictions(c: Settings) -> list[str]:
     """What no single value shows: combinations that cannot be flown, each in words."""
     problems = []
@@ -101,13 +105,17 @@ def contradictions(c: Settings) -> list[str]:
     problems += [f"beacons.{b}: {NAME_RULE}" for b in c.beacons if not is_name(b)]
     if bool(c.vehicle.signing_key_file) != bool(c.vehicle.signing_state_file):
         problems.append("vehicle.signing_key_file and vehicle.signing_state_file: either both or none")
+    if c.vehicle.component_id == _AUTOPILOTS_COMPONENT_ID:
+        problems.append("vehicle.component_id = 1: that is the autopilot's own; 191 is usual")
     problems += [
         f"ranges.ros2: topic {t.topic!r} with beacon {t.beacon!r}: `*` stands for several, `beacon` for one"
         for t in c.ranges.ros2
         if t.beacon is not None and "*" in t.topic
     ]
+    max_range_m = c.ranges.max_range_m
     pairs = (
         ("guidance.speed_m_s", c.guidance.speed_m_s, "limits.speed_m_s", c.limits.speed_m_s),
+        ("guidance.capture_radius_m", c.guidance.capture_radius_m, "ranges.max_range_m", max_range_m),
         (
             "guidance.yaw_rate_max_rad_s",
             c.guidance.yaw_rate_max_rad_s,
@@ -120,12 +128,24 @@ def contradictions(c: Settings) -> list[str]:
         ("limits.height_min_m", c.limits.height_min_m, "vehicle.height_m", c.vehicle.height_m),
         ("vehicle.height_m", c.vehicle.height_m, "limits.height_max_m", c.limits.height_max_m),
         ("stream.min_rate_hz", c.stream.min_rate_hz, "stream.max_rate_hz", c.stream.max_rate_hz),
+        *(
+            (f"beacons.{name}.station_distance_m", b.station_distance_m, "ranges.max_range_m", max_range_m)
+            for name, b in sorted(c.beacons.items())
+            if b.station_distance_m is not None
+        ),
     )
     problems += [
         f"{small} = {low:g}: must not be above {large} = {high:g}"
         for small, low, large, high in pairs
         if low > high
     ]
+    spacing_s = 1.0 / c.vehicle.telemetry_rate_hz
+    if c.loss.telemetry_after_s < _LATE_SPACINGS * spacing_s:
+        problems.append(
+            f"loss.telemetry_after_s = {c.loss.telemetry_after_s:g}: telemetry comes every {spacing_s:g} s "
+            f"at best (vehicle.telemetry_rate_hz = {c.vehicle.telemetry_rate_hz:g}), and one may be lost: "
+            f"allow {_LATE_SPACINGS * spacing_s:g} s at least"
+        )
     if c.vehicle.kind == "ardupilot":
         problems += _ardupilot_contradictions(c)
     if c.mission.kind == "capture" and c.mission.target in c.beacons:

@@ -52,6 +52,10 @@ def _of_loss_t(settings: Settings, _: VehicleFindings, value: float) -> Row:
     if value < 3.0 * period_s:
         why = f"At a setpoint every {period_s * 1e3:.0f} ms, a few lost packets end OFFBOARD."
         return _row(name, State.FAIL, text, why, f"set {name} to 1.0")
+    held_up_s = settings.loss.held_up_after_s
+    if value <= held_up_s:
+        why = "Held up for that long the app would stream on, and PX4, which has acted, return to OFFBOARD."
+        return _row(name, State.FAIL, text, why, f"set {name} above loss.held_up_after_s ({held_up_s:g} s)")
     if value > _LONG_LOSS_S:
         why = "That long nobody steers."
         return _row(name, State.WARN, text, why, f"set {name} to 1.0")

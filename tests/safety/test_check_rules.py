@@ -159,6 +159,7 @@ def test_what_is_not_in_order_is_said_with_the_reason(
     ("name", "value", "health", "state", "words"),
     [
         ("COM_OF_LOSS_T", 0.1, WELL, State.FAIL, "set COM_OF_LOSS_T to 1.0"),
+        ("COM_OF_LOSS_T", 0.8, WELL, State.FAIL, "above loss.held_up_after_s (0.8 s)"),
         ("COM_OF_LOSS_T", 5.0, WELL, State.WARN, "2.5 m"),
         ("COM_OBL_RC_ACT", 0, WELL, State.OK, "the pilot flies"),
         ("COM_OBL_RC_ACT", 0, NO_RC, State.FAIL, "blind descent"),
