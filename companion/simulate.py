@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -20,6 +21,8 @@ _REST_S = 3.0
 """A flight is over when the app has held the target for this long."""
 KEEP_S = 30.0
 """A station must be kept for this long after the arrival."""
+_CHUNK = 2
+"""Flights that a worker is given at a time: who stops it waits for those."""
 
 
 class FlightResult(NamedTuple):
@@ -146,9 +149,16 @@ def fly_many(
     if runs < 8:
         return list(_counted((fly_one(config, s) for s in seeds), progress))
     workers = os.cpu_count() or 1
-    with ProcessPoolExecutor(workers, get_context("forkserver"), _Worker, (config,)) as pool:
-        chunk = max(1, min(16, runs // (4 * workers)))
-        return list(_counted(pool.map(_fly_in_worker, seeds, chunksize=chunk), progress))
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # its workers must not outlive it
+    try:
+        with ProcessPoolExecutor(workers, get_context("forkserver"), _Worker, (config,)) as pool:
+            try:
+                return list(_counted(pool.map(_fly_in_worker, seeds, chunksize=_CHUNK), progress))
+            except KeyboardInterrupt:
+                pool.shutdown(cancel_futures=True)
+                raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _counted(results: Iterable[FlightResult], progress: Callable[[int], None]) -> Iterator[FlightResult]:

@@ -8,12 +8,14 @@ import socket
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from companion.cli import main
 from companion.exits import Exit
+from tests.uwb.network import until
 
 ROOT = Path(__file__).parents[2]
 BOUND_S = 60.0
@@ -26,12 +28,13 @@ def free_port() -> int:
         return port
 
 
-def start(*arguments: str, stdout: Path | None = None) -> subprocess.Popen[str]:
+def start(*arguments: str, stdout: Path | None = None, group: int | None = None) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "companion", *arguments],
         stdout=subprocess.PIPE if stdout is None else stdout.open("w"),
         stderr=subprocess.PIPE,
         text=True,
+        process_group=group,
         cwd=tempfile.mkdtemp(),  # the flight's record goes there
         env={key: value for key, value in os.environ.items() if not key.startswith("COMPANION_")},
     )
@@ -143,6 +146,36 @@ def test_systemd_hears_of_it_from_the_loop(tmp_path: Path, monkeypatch: pytest.M
         process.kill()
         process.communicate(timeout=BOUND_S)
     assert b"READY=1\nWATCHDOG=1" in told
+
+
+def group(leader: int) -> list[int]:
+    """The processes of a process group."""
+    members = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            with suppress(OSError):  # gone meanwhile
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+                members += [int(entry.name)] if int(fields[2]) == leader else []
+    return members
+
+
+def test_a_simulation_that_is_stopped_leaves_no_workers_behind() -> None:
+    arguments = (
+        "sim",
+        "--config",
+        str(ROOT / "config/capture.toml"),
+        "--runs",
+        "9000",
+        "--set",
+        "sim.limit_s=3",
+    )
+    process = start(*arguments, group=0)
+    until(lambda: len(group(process.pid)) > 3, "workers, beside what starts them")
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=BOUND_S)
+    assert process.returncode == Exit.INTERRUPTED
+    assert "Traceback" not in err
+    until(lambda: not group(process.pid), "their end")
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("fly", "--help"), ("sim", "--help"), ("--version",)])
