@@ -36,10 +36,11 @@ class Extent(NamedTuple):
     starts: int
 
 
-FULL = Extent((20.0, 50.0), 0.99, 4, 15.0, 300.0, 30.0, 30.0, 60.0, 5, 20.0, 2000, 7)
+FULL = Extent((20.0, 50.0), 0.99, 6, 10.0, 300.0, 20.0, 30.0, 60.0, 12, 20.0, 2000, 7)
 SHORT = Extent((50.0,), 0.9, 2, 3.5, 10.0, 6.0, 3.0, 10.0, 4, 2.0, 0, 3)
 
 _POINTS = 200
+_CPU_TURNS = 2
 
 
 class Part(NamedTuple):
@@ -154,7 +155,8 @@ def _jitter(extent: Extent) -> Part:
 def _cpu(extent: Extent) -> Part:
     with Rig(wire.THREE) as rig:
         ours, floor = (
-            wire.measure(rig, c, wire.THREE, 20.0, extent.cpu_s, 2.0) for c in (wire.UNSEEN, wire.FLOOR)
+            min(wire.measure(rig, c, wire.THREE, 20.0, extent.cpu_s, 2.0).cpu for _ in range(_CPU_TURNS))
+            for c in (wire.UNSEEN, wire.FLOOR)
         )
     return Part(
         [
@@ -162,8 +164,8 @@ def _cpu(extent: Extent) -> Part:
                 key="cpu_percent",
                 what="CPU in flight: 3 beacons × 20 Hz, 50 Hz telemetry, recording",
                 unit="%",
-                value=100.0 * ours.cpu,
-                floor=100.0 * floor.cpu,
+                value=100.0 * ours,
+                floor=100.0 * floor,
                 goal=5.0,
             ),
         ]

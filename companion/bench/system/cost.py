@@ -27,6 +27,8 @@ from sitl_mock.world import World
 
 _FLIGHT_S = 30.0
 """Simulated flights are counted in units of this length."""
+_FLIGHTS = 8
+"""So many different ones."""
 _NAME_ENDS = re.compile(r"[\s\[<>=!~(]")
 _LONG = LimitSettings(flight_time_s=36000.0, distance_m=100_000.0, from_start_m=100_000.0)
 
@@ -99,16 +101,20 @@ def step_cost(beacons: int, seconds: float, repeats: int) -> StepCost:
 
 
 def simulated_per_s(seconds: float) -> float:
-    """Flights of 30 s of the flying code per second of one core's time."""
-    flights, used_s = 0, 0.0
+    """Flights of 30 s of the flying code per second of one core's time; of a flight's repeats the quickest
+    counts."""
+    best = [math.inf] * _FLIGHTS
+    used_s = 0.0
     config = Config(sim=Scenario(random_start=True, limit_s=_FLIGHT_S))
-    while used_s < seconds:
-        flights += 1
-        world = World(config.sim, flights)
-        began = time.process_time()
-        run(world.events(), config, world.send, lambda _: None)
-        used_s += time.process_time() - began
-    return flights / used_s
+    while used_s < seconds or math.inf in best:
+        for seed in range(_FLIGHTS):
+            world = World(config.sim, seed)
+            began = time.process_time()
+            run(world.events(), config, world.send, lambda _: None)
+            took_s = time.process_time() - began
+            best[seed] = min(best[seed], took_s)
+            used_s += took_s
+    return _FLIGHTS / sum(best)
 
 
 def batch_per_s(flights: int) -> float | None:
