@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 from companion.check import ardupilot, parameters
 from companion.check.report import Part, Row, State, never_came
-from companion.health import WITHOUT, shortfalls
+from companion.health import WITHOUT, Health, on_battery, shortfalls
 from companion.link.modes import wanted_rates
 from companion.link.signing import NOT_SIGNED, WRONG_SIGNATURE
 from companion.link.survey import VehicleFindings
 from companion.settings import Settings
-from companion.types import Charge, FlightMode, Landed
+from companion.types import BatteryReport, Charge, FlightMode, Landed
 
 _LOW_SHARE = 0.3
 """Below this a flight should not begin; PX4 itself warns at BAT_LOW_THR, 15 %."""
@@ -108,7 +108,16 @@ def _loss(found: VehicleFindings) -> Row:
 
 
 def _others(settings: Settings, found: VehicleFindings) -> Iterator[Row]:
-    """Another autopilot, or another one like us."""
+    """Another autopilot, another one like us, or one that steers."""
+    for o in sorted(found.commanders):
+        yield Row(
+            Part.LINK,
+            "second commander",
+            State.FAIL,
+            f"system {o.system}, component {o.component} sends {o.kind}",
+            "Two streams of setpoints would mix: the flight does not begin beside it.",
+            "stop the other one",
+        )
     for o in sorted(found.others):
         who = f"system {o.system}, component {o.component} ({o.kind})"
         if (o.system, o.component) == (found.system_id, settings.vehicle.component_id):
@@ -124,9 +133,9 @@ def _others(settings: Settings, found: VehicleFindings) -> Iterator[Row]:
             yield Row(
                 Part.LINK,
                 "second vehicle",
-                State.WARN,
+                State.FAIL,
                 f"{who} besides system {found.system_id}",
-                "The first autopilot heard is flown, and that may be either.",
+                "Which one is ours is not known: the flight does not begin beside it.",
                 "set vehicle.target_system, and give each vehicle an id of its own",
             )
 
@@ -163,7 +172,7 @@ def _autopilot(settings: Settings, found: VehicleFindings, watched_s: float) -> 
         yield never_came(Part.AUTOPILOT, "SYS_STATUS", watched_s, "Whether it would arm is not known.")
     else:
         yield from _health(found)
-    yield _battery(found, watched_s)
+    yield _battery(settings, found, watched_s)
 
 
 def _mode(found: VehicleFindings) -> Row:
@@ -236,7 +245,7 @@ def _health(found: VehicleFindings) -> Iterator[Row]:
         )
 
 
-def _battery(found: VehicleFindings, watched_s: float) -> Row:
+def _battery(settings: Settings, found: VehicleFindings, watched_s: float) -> Row:
     share, volts = found.battery_share, found.battery_v
     told = [] if share is None else [f"{share * 100:.0f} %"]
     told += [] if volts is None else [f"{volts:.1f} V"]
@@ -246,6 +255,10 @@ def _battery(found: VehicleFindings, watched_s: float) -> Row:
     do = "charge it"
     if found.charge in (Charge.LOW, Charge.CRITICAL):
         why = "PX4 will not arm, or lands or returns by itself in flight (COM_LOW_BAT_ACT)."
+        return Row(Part.AUTOPILOT, "battery", State.FAIL, text, why, do)
+    report = BatteryReport(0, found.charge or Charge.UNKNOWN, share)
+    if on_battery(Health(), settings.loss, report).battery_low:
+        why = "The flight does not begin with it (loss.battery_hand_over, loss.battery_share)."
         return Row(Part.AUTOPILOT, "battery", State.FAIL, text, why, do)
     if share is None:
         text = text or f"SYS_STATUS and BATTERY_STATUS told nothing within {watched_s:.1f} s"

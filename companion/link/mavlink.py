@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from companion.link.decode import WORDS, decoders, heading_from_yaw
 from companion.link.frames import SetPositionTarget, messages
 from companion.link.ground_station import GroundStation
-from companion.link.modes import DIALECTS, message_id, wanted_rates
+from companion.link.modes import DIALECTS, STEERING, message_id, wanted_rates
 from companion.link.signing import REFUSALS, SignedMavlink, is_signed
 from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
 from companion.settings import VehicleSettings
@@ -42,16 +42,6 @@ _MASK_VELOCITY = _IGNORE_XY | _IGNORE_Z | _IGNORE_ACCELERATION | _IGNORE_YAW
 
 _SIGNED_ONLY = frozenset({"HEARTBEAT", "CURRENT_MODE"})
 """On a signed link these are believed with a verified signature only, whatever else is."""
-
-_STEERING = frozenset(
-    {
-        "SET_POSITION_TARGET_LOCAL_NED",
-        "SET_POSITION_TARGET_GLOBAL_INT",
-        "SET_ATTITUDE_TARGET",
-        "SET_ACTUATOR_CONTROL_TARGET",
-    }
-)
-"""Setpoints: whoever sends these to our vehicle flies it."""
 
 _TURN_NS = 20_000_000
 """So long is read at a time."""
@@ -83,7 +73,7 @@ class VehicleLink:
         self._target_system = settings.target_system
         self._dialect = DIALECTS[settings.kind]
         self._decoders = decoders(self._dialect)
-        self._heard = frozenset({*self._decoders, *WORDS, *_STEERING})
+        self._heard = frozenset({*self._decoders, *WORDS, *STEERING})
         self._wanted_hz = {message_id(name): hz for name, hz in wanted_rates(settings).items()}
         self._counts = dict.fromkeys(self._wanted_hz, 0)
         self._t_counted_ns = 0
@@ -171,7 +161,7 @@ class VehicleLink:
                 party = Party.TWIN
             elif component == mavlink.MAV_COMP_ID_AUTOPILOT1 and self._settings.target_system in (0, system):
                 party = Party.AUTOPILOT if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID else None
-        elif kind in _STEERING and ours and m.target_system in (0, ours):
+        elif kind in STEERING and ours and m.target_system in (0, ours):
             party = Party.COMMANDER
         return None if party is None else PartyHeard(t_ns, party, system, component, kind)
 

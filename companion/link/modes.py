@@ -1,4 +1,4 @@
-"""Flight modes as autopilots number them, and the telemetry that a flight asks for."""
+"""Flight modes as autopilots number them, the telemetry that a flight asks for, and what steers."""
 
 from __future__ import annotations
 
@@ -92,6 +92,16 @@ DIALECTS = {
     ),
 }
 """By `vehicle.kind`."""
+
+STEERING = frozenset(
+    {
+        "SET_POSITION_TARGET_LOCAL_NED",
+        "SET_POSITION_TARGET_GLOBAL_INT",
+        "SET_ATTITUDE_TARGET",
+        "SET_ACTUATOR_CONTROL_TARGET",
+    }
+)
+"""Setpoints: whoever sends these to our vehicle flies it."""
 
 _LANDED_RATE_HZ = 5.0
 

@@ -17,7 +17,7 @@ import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link import decode
-from companion.link.modes import ardupilot_mode, message_id, px4_mode, wanted_rates
+from companion.link.modes import STEERING, ardupilot_mode, message_id, px4_mode, wanted_rates
 from companion.link.signing import REFUSALS, SignedMavlink
 from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
 from companion.link.zenoh_ranges import RangeLink
@@ -77,6 +77,8 @@ class VehicleFindings:
     vendor: str = ""
     kind: str = ""
     others: set[Other] = field(default_factory=set)
+    commanders: set[Other] = field(default_factory=set)
+    """Who sends setpoints to our vehicle."""
     version: str | None = None
     armed: bool | None = None
     mode: FlightMode | None = None
@@ -199,6 +201,9 @@ class VehicleSurvey:
             if f.system_id is None:
                 f.system_id = self._mav.srcSystem = system
                 f.t_found_ns = t_ns
+        elif name in STEERING and m.target_system in (0, f.system_id):
+            f.commanders.add(Other(system, component, name))
+            return
         elif (system, component) != (f.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1) or not self._is_from_peer:
             return
         self._count(m.get_seq())

@@ -12,10 +12,12 @@ import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.check import CheckReport, Row, State, check, text
+from companion.link.mavlink import setpoint_message
 from companion.link.signing import Key, SignedMavlink, Timestamps
 from companion.link.survey import VehicleSurvey
 from companion.network_settings import RangesSettings
 from companion.settings import LimitSettings, Settings, VehicleSettings
+from companion.types import Setpoint
 from tests.safety.relay import Relay
 from tests.sitl_mock.process import free_udp_port, running_mock
 
@@ -246,6 +248,16 @@ def test_it_waits_for_the_configured_system_and_names_the_other() -> None:
     assert survey.found.not_mavlink == 1
     survey.ask(2_000_000_000)
     assert len(wire.sent) == 1  # our HEARTBEAT, and no questions to a stranger
+
+
+@pytest.mark.parametrize(("target", "counts"), [(1, True), (9, False)])
+def test_who_steers_our_vehicle_is_noticed(target: int, counts: bool) -> None:
+    wire, other = Wire(), mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    survey = VehicleSurvey(VehicleSettings(), wire)
+    setpoint = setpoint_message(Setpoint(0, 0.5, 0.0, 0.0, 3.0, 0.0), target)
+    wire.incoming = [px4(plain()), bytes(setpoint.pack(other))]
+    survey.receive(lambda: 1)
+    assert {o.system for o in survey.found.commanders} == ({255} if counts else set())
 
 
 def test_lost_packets_are_counted_by_the_gaps() -> None:

@@ -126,6 +126,7 @@ BODY = Settings(vehicle=VehicleSettings(setpoint_frame="body_ned"))
         ({"charge": Charge.CRITICAL, "battery_share": 0.05}, "battery", State.FAIL, "5 %, 16.2 V, critical"),
         ({"charge": Charge.LOW}, "battery", State.FAIL, "COM_LOW_BAT_ACT"),
         ({"battery_share": 0.25}, "battery", State.WARN, "charge it"),
+        ({"battery_share": 0.14}, "battery", State.FAIL, "loss.battery_share"),
         ({"charge": None, "battery_share": None, "battery_v": None}, "battery", State.WARN, "within 5.0 s"),
         ({"estimator": None}, "ESTIMATOR_STATUS", State.WARN, "never came within 5.0 s"),
         (
@@ -143,7 +144,13 @@ BODY = Settings(vehicle=VehicleSettings(setpoint_frame="body_ned"))
         ({"rates_hz": {"ATTITUDE": 12.0}}, "ATTITUDE", State.WARN, "12 Hz of 50 Hz"),
         ({"packets": 70, "packets_lost": 30}, "packets lost", State.WARN, "30.0 %"),
         ({"others": {Other(1, 191, "onboard controller")}}, "second companion", State.FAIL, "stop the other"),
-        ({"others": {Other(2, 1, "quadrotor")}}, "second vehicle", State.WARN, "vehicle.target_system"),
+        (
+            {"commanders": {Other(255, 190, "SET_ATTITUDE_TARGET")}},
+            "second commander",
+            State.FAIL,
+            "stop the",
+        ),
+        ({"others": {Other(2, 1, "quadrotor")}}, "second vehicle", State.FAIL, "vehicle.target_system"),
         ({"signs": True}, "signing", State.FAIL, "no setpoint would be flown"),
     ],
 )
