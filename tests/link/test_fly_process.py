@@ -178,6 +178,19 @@ def test_a_simulation_that_is_stopped_leaves_no_workers_behind() -> None:
     until(lambda: not group(process.pid), "their end")
 
 
+def test_the_end_of_a_process_does_not_take_the_interpreter_down() -> None:
+    """On its way down it can be aborted by a thread of Zenoh's, and an orderly end looked like a crash."""
+    code = (
+        "import atexit, sys\n"
+        "from companion.__main__ import run\n"
+        "atexit.register(print, 'down')\n"
+        "sys.argv[1:] = ['ranges', 'schema']\n"
+        "run()"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ended.stdout.endswith("}\n")  # all of it, and nothing after it
+
+
 @pytest.mark.parametrize("arguments", [("--help",), ("fly", "--help"), ("sim", "--help"), ("--version",)])
 def test_help_and_version(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of(arguments) == Exit.OK

@@ -13,7 +13,7 @@ from tests.people.parties import spawn
 from tests.sitl_mock.process import running_mock
 
 FILE = Path(__file__).parents[2] / "config/station.toml"
-BOUND_S = 60.0
+BOUND_S = 80.0
 
 
 def test_the_station_is_found_from_four_beacons_on_the_wire(tmp_path: Path) -> None:
@@ -29,6 +29,7 @@ def test_the_station_is_found_from_four_beacons_on_the_wire(tmp_path: Path) -> N
         app = spawn(
             "companion", "fly", "--config", str(scenario), "--mavlink", onboard, "--zenoh-connect",
             mock.endpoints["zenoh"], "--view", "json", "--record", str(tmp_path / "flight.mcap"),
+            "--set", "loss.held_up_after_s=10",  # a loaded machine may hold it up for a second
         )  # fmt: skip
         operator = spawn("companion", "operator", "--mavlink", ground, "--height", "1")
         bound = threading.Timer(BOUND_S, app.kill)
@@ -52,4 +53,4 @@ def test_the_station_is_found_from_four_beacons_on_the_wire(tmp_path: Path) -> N
     assert ages.keys() == {"b1", "b2", "b3", "b4"}
     assert all(age_s is not None and age_s < 2.0 for age_s in ages.values()), ages
     assert "station NOT reached" in rest
-    assert app.returncode == Exit.INTERRUPTED
+    assert app.returncode == Exit.INTERRUPTED, rest[-4000:]

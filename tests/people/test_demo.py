@@ -76,8 +76,10 @@ def test_nothing_is_left_behind(by: signal.Signals, tmp_path: Path, monkeypatch:
     started: list[int] = []
     try:
         assert demo.stdout is not None
-        while "operator" not in demo.stdout.readline() or len(children_of(demo.pid)) < 3:
-            assert demo.poll() is None, "the demo ended by itself"
+        said = [demo.stdout.readline()]
+        while "operator" not in said[-1] or len(children_of(demo.pid)) < 3:
+            assert said[-1], f"the demo ended by itself: {said}"
+            said.append(demo.stdout.readline())
         started = children_of(demo.pid)
         demo.send_signal(by)
         demo.stdout.read()
