@@ -25,6 +25,7 @@ import msgspec
 from companion.config import Config, load
 from companion.exits import Exit
 from companion.goal import true_goal
+from companion.lines import TextLine
 from companion.picture import PictureError, Truth, draw_flight, headline
 from companion.recording import RecordError, read
 from companion.report.page import PageError, write
@@ -223,12 +224,10 @@ def _fly(
         for child, line in _lines([mock, operator, companion], deadline):
             if child is not companion:
                 view.tell(f"{child.name:9} {line}")
-            elif not line.startswith("{"):
+            elif line.startswith("{"):
+                show(view, line)
+            else:
                 said.append(line)  # its own summary, by what it knew
-            elif isinstance(told := _decode(line), Status):
-                view.show(told)
-            elif isinstance(told, PhaseChange):
-                view.note(told)
         for child in (companion, operator):
             view.tell(f"{child.name:9} {child.ending()}")
         return [] if (out / "flight.json").exists() else said
@@ -273,7 +272,18 @@ def _lines(children: Sequence[_Child], deadline: float) -> Iterator[tuple[_Child
                     yield child, line
 
 
-_decode = msgspec.json.Decoder(Status | PhaseChange).decode
+_decode = msgspec.json.Decoder(Status | PhaseChange | TextLine).decode
+
+
+def show(view: View, line: str) -> None:
+    """Show what the companion says in a line of `--view json`."""
+    match _decode(line):
+        case Status() as status:
+            view.show(status)
+        case PhaseChange() as change:
+            view.note(change)
+        case TextLine(line=text):
+            view.tell(f"companion {text}")
 
 
 # -------------------------------------------------------------------------------------------- the verdict

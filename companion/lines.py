@@ -14,6 +14,12 @@ Told = PhaseChange | str
 """What is told once: a change of phase, or a line of text from elsewhere."""
 
 
+class TextLine(msgspec.Struct, frozen=True, tag_field="output", tag="text"):
+    """A line of text from elsewhere among statuses and phase changes in JSON."""
+
+    line: str
+
+
 def write_lines(stream: IO[str], lines: Iterable[str]) -> None:
     """All of them at once, so that no reader sees half a line. Raises OSError."""
     stream.write("".join(f"{line}\n" for line in lines))
@@ -27,8 +33,8 @@ def plain_lines(told: Sequence[Told], status: Status | None, t0_ns: int) -> list
 
 
 def json_lines(told: Sequence[Told], status: Status | None) -> list[str]:
-    """One JSON object a line: a `Status`, a `PhaseChange`, or `{"output": "text", "line": …}`."""
-    items = [{"output": "text", "line": item} if isinstance(item, str) else item for item in told]
+    """One JSON object a line: a `Status`, a `PhaseChange` or a `TextLine`."""
+    items = [TextLine(item) if isinstance(item, str) else item for item in told]
     return [msgspec.json.encode(item).decode() for item in (items if status is None else [*items, status])]
 
 

@@ -7,12 +7,17 @@ import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
-from companion.demo import TruthRow, in_offboard, judge
+from companion.demo import TruthRow, in_offboard, judge, show
+from companion.lines import json_lines
 from companion.summary import Problem
-from companion.types import FlightMode
+from companion.types import FlightMode, Phase, PhaseChange, Status
+from companion.view import View
+from tests.people.flights import change, status
 from tests.people.parties import spawn
 
 PROBLEM = Problem(0.5, 0.5, 1.0)
@@ -54,6 +59,15 @@ def test_what_px4_shows_after_the_landing_is_no_flight() -> None:
     assert rows[-1].mode is FlightMode.OFFBOARD
     assert in_offboard(rows)[-1].x_m == pytest.approx(9.7)
     assert judge([row(0.0, 0.0, FlightMode.AUTO_LOITER)], TARGET, PROBLEM) is None
+
+
+def test_whatever_the_companion_says_is_shown() -> None:
+    heard: list[Status | PhaseChange | str] = []
+    view = SimpleNamespace(show=heard.append, note=heard.append, tell=heard.append)
+    noted = change(4.0, Phase.ACQUIRE, Phase.APPROACH, "bearing known")
+    for line in json_lines([noted, "Zenoh: connected to nobody; it keeps trying."], status()):
+        show(cast(View, view), line)
+    assert heard == [noted, "companion Zenoh: connected to nobody; it keeps trying.", status()]
 
 
 def children_of(pid: int) -> list[int]:
