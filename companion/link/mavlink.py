@@ -152,7 +152,7 @@ class VehicleLink:
         """
         ours, system, component = self._target_system, m.get_srcSystem(), m.get_srcComponent()
         party = None
-        if self._is_signing and not is_signed(m):
+        if (kind != "HEARTBEAT" and kind not in STEERING) or (self._is_signing and not is_signed(m)):
             return None
         if component == self._settings.component_id and bytes(m.get_msgbuf()) in self._sent:
             return None  # a bridge sends back what this app has sent
@@ -161,7 +161,7 @@ class VehicleLink:
                 party = Party.TWIN
             elif component == mavlink.MAV_COMP_ID_AUTOPILOT1 and self._settings.target_system in (0, system):
                 party = Party.AUTOPILOT if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID else None
-        elif kind in STEERING and ours and m.target_system in (0, ours):
+        elif ours and m.target_system in (0, ours):
             party = Party.COMMANDER
         return None if party is None else PartyHeard(t_ns, party, system, component, kind)
 

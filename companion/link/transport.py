@@ -40,12 +40,12 @@ class Udp:
     """
 
     def __init__(self, bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> None:
+        self._peer = None if peer is None else (socket.gethostbyname(peer[0]), peer[1])
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
         if bind is not None:
             self._socket.bind(bind)
         self._socket.setblocking(False)
-        self._peer = None if peer is None else (socket.gethostbyname(peer[0]), peer[1])
         self._answers_anybody = peer is None
         self._source: tuple[str, int] | None = None
         self._t_peer_ns: int | None = None

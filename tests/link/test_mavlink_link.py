@@ -194,6 +194,23 @@ def test_a_stranger_does_not_lead_the_setpoints_astray(link: VehicleLink, autopi
         stranger.socket.close()
 
 
+@pytest.mark.parametrize("component", [191, 154])
+def test_telemetry_of_other_components_is_none_of_our_business(
+    link: VehicleLink, autopilot: Autopilot, component: int
+) -> None:
+    autopilot.heartbeat()
+    heard(link)
+    autopilot.mav.srcComponent = component  # a gimbal's, or one like us that tells its own
+    autopilot.say(mavlink.MAVLink_attitude_message(1000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.25))
+    autopilot.say(mavlink.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 0.1, 0.2, -0.3))
+    autopilot.mav.srcComponent = 1
+    autopilot.heartbeat()
+    events: list[Event] = []
+    while not events:
+        events += heard(link)
+    assert [type(event) for event in events] == [VehicleHeartbeat]
+
+
 def test_what_a_bridge_sends_back_is_no_second_companion(link: VehicleLink, autopilot: Autopilot) -> None:
     autopilot.heartbeat()
     heard(link)
