@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from companion.guidance.drift import TINY, DriftLift
+from companion.guidance.drift import TINY, DriftLift, Fix
 
 AZIMUTHS = 24
 """The bearing's posterior is summed over this many azimuths."""
@@ -15,8 +15,8 @@ AZIMUTH_RAD = tuple(2.0 * math.pi * (i + 0.5) / AZIMUTHS for i in range(AZIMUTHS
 COS = tuple(math.cos(azimuth) for azimuth in AZIMUTH_RAD)
 SIN = tuple(math.sin(azimuth) for azimuth in AZIMUTH_RAD)
 _STEPS = 4
-_DONE_M2 = 1e-6
-"""Gauss-Newton ends after so many steps, or after one shorter than a millimetre."""
+_DONE_M2 = 1e-4
+"""Gauss-Newton ends after so many steps, or after one shorter than a centimetre."""
 
 
 class Information(NamedTuple):
@@ -28,18 +28,6 @@ class Information(NamedTuple):
     i22: float
     i23: float
     i33: float
-
-
-class Fix(msgspec.Struct, frozen=True, gc=False):
-    """Where the target is relative to the vehicle, with the covariance of that, and the drift."""
-
-    x: float
-    y: float
-    xx: float
-    xy: float
-    yy: float
-    wx: float
-    wy: float
 
 
 class Circle(msgspec.Struct, frozen=True, gc=False):
@@ -68,47 +56,80 @@ def information(f: DriftLift, offset_variance: float) -> Information:
     )
 
 
-def fix(f: DriftLift, i: Information, x: float, y: float) -> Fix:
-    """The most probable (x, y), by Gauss-Newton from the one given, and the drift that goes with it."""
-    i11, i12, i13, i22, i23, i33 = i
+def fix(f: DriftLift, offset_variance: float, x: float, y: float, wx: float, wy: float) -> Fix:
+    """The most probable target and drift, by Gauss-Newton from the ones given, where the lift is one of a
+    target and a drift: x1 = |ρ|²/2, s = ρ·w, u = |w|²."""
     longer = 2.0 * f.x1 / (x * x + y * y + TINY)
     if longer > 1.0:
         stretch = math.sqrt(longer)
         x *= stretch
         y *= stretch
-    n11 = n12 = n22 = det = 1.0
-    g1 = g2 = g3 = 0.0
+    p00, p01, p02 = f.p00 + offset_variance, f.p01, f.p02
+    p03, p04, p05, p06 = f.p03, f.p04, f.p05, f.p06
+    p11, p12, p13, p14, p15, p16 = f.p11, f.p12, f.p13, f.p14, f.p15, f.p16
+    p22, p23, p24, p25, p26 = f.p22, f.p23, f.p24, f.p25, f.p26
+    p33, p34, p35, p36, p44, p45, p46 = f.p33, f.p34, f.p35, f.p36, f.p44, f.p45, f.p46
+    xx = xy = yy = 0.0
     for _ in range(_STEPS):
-        xx, yy = x * x, y * y
-        e1 = 0.5 * (xx + yy) - f.x1
-        e2 = x - f.x
-        e3 = y - f.y
-        g1 = i11 * e1 + i12 * e2 + i13 * e3
-        g2 = i12 * e1 + i22 * e2 + i23 * e3
-        g3 = i13 * e1 + i23 * e2 + i33 * e3
-        n11 = xx * i11 + 2.0 * x * i12 + i22
-        n12 = x * y * i11 + x * i13 + y * i12 + i23
-        n22 = yy * i11 + 2.0 * y * i13 + i33
-        det = n11 * n22 - n12 * n12
-        if det < 1e-30:
-            det = 1e-30
-        q1 = x * g1 + g2
-        q2 = y * g1 + g3
-        dx = (n12 * q2 - n22 * q1) / det
-        dy = (n12 * q1 - n11 * q2) / det
+        vx, vy = 2.0 * wx, 2.0 * wy
+        # covariance of (ρ, w) and of the constraints with the constraints
+        # g1 = x1 − ρ·ρ̂ + |ρ̂|²/2, g2 = s − ρ̂·w − ŵ·ρ + ρ̂·ŵ, g3 = u − 2 ŵ·w + |ŵ|²
+        a1 = p01 - x * p11 - y * p12
+        a2 = p02 - x * p12 - y * p22
+        a3 = p03 - x * p13 - y * p23
+        a4 = p04 - x * p14 - y * p24
+        a5 = p05 - x * p15 - y * p25
+        a6 = p06 - x * p16 - y * p26
+        a0 = p00 - x * p01 - y * p02
+        b1 = p15 - x * p13 - y * p14 - wx * p11 - wy * p12
+        b2 = p25 - x * p23 - y * p24 - wx * p12 - wy * p22
+        b3 = p35 - x * p33 - y * p34 - wx * p13 - wy * p23
+        b4 = p45 - x * p34 - y * p44 - wx * p14 - wy * p24
+        b5 = f.p55 - x * p35 - y * p45 - wx * p15 - wy * p25
+        b6 = f.p56 - x * p36 - y * p46 - wx * p16 - wy * p26
+        c1 = p16 - vx * p13 - vy * p14
+        c2 = p26 - vx * p23 - vy * p24
+        c3 = p36 - vx * p33 - vy * p34
+        c4 = p46 - vx * p34 - vy * p44
+        c6 = f.p66 - vx * p36 - vy * p46
+        s11 = a0 - x * a1 - y * a2 + TINY
+        s12 = a5 - x * a3 - y * a4 - wx * a1 - wy * a2
+        s13 = a6 - vx * a3 - vy * a4
+        s22 = b5 - x * b3 - y * b4 - wx * b1 - wy * b2 + TINY
+        s23 = b6 - vx * b3 - vy * b4
+        s33 = c6 - vx * c3 - vy * c4 + TINY
+        # Cholesky, and the multipliers that bring the constraints to zero
+        l11 = math.sqrt(max(s11, TINY))
+        l21 = s12 / l11
+        l31 = s13 / l11
+        l22 = math.sqrt(max(s22 - l21 * l21, TINY))
+        l32 = (s23 - l31 * l21) / l22
+        l33 = math.sqrt(max(s33 - l31 * l31 - l32 * l32, TINY))
+        e1 = (f.x1 - x * f.x - y * f.y + 0.5 * (x * x + y * y)) / l11
+        e2 = (f.s - x * f.wx - y * f.wy - wx * f.x - wy * f.y + x * wx + y * wy - l21 * e1) / l22
+        e3 = (f.u - vx * f.wx - vy * f.wy + wx * wx + wy * wy - l31 * e1 - l32 * e2) / l33
+        m3 = e3 / l33
+        m2 = (e2 - l32 * m3) / l22
+        m1 = (e1 - l21 * m2 - l31 * m3) / l11
+        dx = f.x - a1 * m1 - b1 * m2 - c1 * m3 - x
+        dy = f.y - a2 * m1 - b2 * m2 - c2 * m3 - y
+        wx = f.wx - a3 * m1 - b3 * m2 - c3 * m3
+        wy = f.wy - a4 * m1 - b4 * m2 - c4 * m3
         x += dx
         y += dy
+        # what is left of the covariance of ρ
+        k1 = a1 / l11
+        k2 = (b1 - l21 * k1) / l22
+        k3 = (c1 - l31 * k1 - l32 * k2) / l33
+        j1 = a2 / l11
+        j2 = (b2 - l21 * j1) / l22
+        j3 = (c2 - l31 * j1 - l32 * j2) / l33
+        xx = p11 - k1 * k1 - k2 * k2 - k3 * k3
+        xy = p12 - k1 * j1 - k2 * j2 - k3 * j3
+        yy = p22 - j1 * j1 - j2 * j2 - j3 * j3
         if dx * dx + dy * dy < _DONE_M2:
             break
-    return Fix(
-        x,
-        y,
-        n22 / det,
-        -n12 / det,
-        n11 / det,
-        f.wx + f.p03 * g1 + f.p13 * g2 + f.p23 * g3,
-        f.wy + f.p04 * g1 + f.p14 * g2 + f.p24 * g3,
-    )
+    return Fix(x, y, max(xx, TINY), xy, max(yy, TINY), wx, wy)
 
 
 def posterior(f: DriftLift, i: Information, d_m: float) -> list[float]:

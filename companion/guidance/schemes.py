@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from companion.guidance import kalman, lq, luenberger, model, seek
+from companion.guidance import kalman, lq, luenberger, model, seek, seek_steer
 from companion.guidance.drift import Noise
 from companion.guidance.kalman import Gaussian
 from companion.guidance.model import Lifted
@@ -320,9 +320,7 @@ def _noise(settings: GuidanceSettings, share: float) -> Noise:
     """What is expected of the dead reckoning, all sigmas and variances reduced to a share."""
     return Noise(
         drift_m_s=settings.drift_m_s * share,
-        drift_change_m_s=settings.drift_change_m_s * share,
-        drift_tau_s=settings.drift_tau_s,
-        gyro_rad_s=settings.gyro_bias_rad_s * share,
+        drift=settings.kalman_drift_noise * share,
         position=settings.kalman_position_noise * share,
         turn=settings.kalman_turn_noise * share,
     )
@@ -343,6 +341,7 @@ def seek_parameters(
         first_turn=1.0 if settings.first_turn == "left" else -1.0,
         search_turn_s=settings.search_turn_s,
         turn_through=settings.turn_through_rad,
+        turn_on_spot=settings.turn_on_spot_rad,
         q1=q1,
         q2=q2,
         r=settings.lq_paper_r if paper_law else settings.lq_r,
@@ -366,7 +365,7 @@ def capture(settings: GuidanceSettings, yaw_rate_lag_s: float, velocity_lag_s: f
             seek.initial,
             seek.predict,
             seek.update,
-            seek.command,
+            seek_steer.command,
             seek.knowledge,
         )
     p = parameters(settings, yaw_rate_lag_s)

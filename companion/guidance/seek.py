@@ -10,11 +10,10 @@ import math
 
 import msgspec
 
-from companion.guidance import drift, lq, model, readout
-from companion.guidance.drift import DriftLift, Known, Noise
+from companion.guidance import drift, model
+from companion.guidance.drift import DriftLift, Fix, Noise
 from companion.guidance.kalman import measured, median_of_five
-from companion.guidance.readout import Fix
-from companion.guidance.scheme import PROBE, REST, TRACK, UNKNOWN_M, Command, Knowledge
+from companion.guidance.scheme import UNKNOWN_M, Knowledge
 
 GATHER = 0
 SEARCH = 1
@@ -26,32 +25,18 @@ REJECTION_MEMORY = 0.93
 """Forgetting factor, per range, of the average that starts a locked-out filter afresh."""
 SURPRISE_MEMORY = 0.97
 """The same of the average innovation."""
-SURPRISE_MAX = 0.5
+SURPRISE_MAX = 0.4
 """An average innovation of so many sigmas says that the dead reckoning is wrong."""
-SPREAD = 0.3
+SPREAD = 0.5
 """Then the target may be elsewhere by this share of its distance."""
 NEAR_RANGE_M = 0.2
 """The noise of d²/2 is never taken for smaller than at this range."""
 SMOOTHING_S = 0.15
 """The velocity that the vehicle coasts with is the mean over about this time: single moves may jump."""
-AGREED = 0.9
-"""The search ends where the resultant of the bearing's posterior is above this."""
-TURN_ON = 0.88
-"""Below this resultant the vehicle turns at the largest yaw rate."""
-LOOK_AHEAD_S = 1.0
-"""To which side: as if the bearing were known after this time."""
-SEARCH_S = 6.0
-"""The search ends after this time in any case; the read-out goes on correcting itself."""
 RECEDES_M = 1.5
 """A target that is steered at and yet gets farther away by this much is looked for afresh."""
-CRAB_MAX = 0.9
-"""Largest sine of the crab angle."""
-AIMED_RAD = 0.3
-"""A turn on the spot ends where the target is this near to straight ahead."""
-TURN_RAD = 0.5
-"""And begins where it is this far off."""
-PATIENCE_S = 30.0
-"""Near the target the certainty that a stop asks for fades over this time: knowledge has its limits too."""
+HEIGHT_TAU_S = 30.0
+"""An error of the height lasts about this long."""
 
 
 class SeekParameters(msgspec.Struct, frozen=True, gc=False):
@@ -65,6 +50,7 @@ class SeekParameters(msgspec.Struct, frozen=True, gc=False):
     first_turn: float
     search_turn_s: float
     turn_through: float
+    turn_on_spot: float
     q1: float
     q2: float
     r: float
@@ -188,10 +174,10 @@ def caught_up(p: SeekParameters, s: Seeking) -> Seeking:
     m = s.motion
     if m.dt_s <= 0.0:
         return s
-    lift, q = s.lift, s.fix
+    lift, q, h = s.lift, s.fix, s.heard
     if s.mode != GATHER:
-        known = s.mode == FOLLOW
-        lift = drift.predict(lift, s.noise, Known(q.x, q.y, q.wx, q.wy), known, m.dt_s, m.x, m.y)
+        height = h.dh_m * h.sigma_dh_m
+        lift = drift.predict(lift, s.noise, q, 2.0 * height * height / HEIGHT_TAU_S, m.dt_s, m.x, m.y)
         q = Fix(q.x - m.x - q.wx * m.dt_s, q.y - m.y - q.wy * m.dt_s, q.xx, q.xy, q.yy, q.wx, q.wy)
     still = Motion(m.heading, m.vx, m.vy, 0.0, 0.0, 0.0)
     since_s = s.since_s + m.dt_s
@@ -250,11 +236,15 @@ def gathered(
     recent = (y, h.recent[0], h.recent[1], h.recent[2], h.recent[3])
     heard = Heard(h.seen + 1, recent, 0.0, 0.0, range_m, dh_m, sigma_dh_m)
     mode, lift = s.mode, s.lift
-    if heard.seen >= FIRST_RANGES:
+    ends = heard.seen >= FIRST_RANGES
+    motion = Motion(m.heading, m.vx, m.vy, 0.0, 0.0, 0.0) if ends or h.seen == 0 else m
+    if ends:
         mode = SEARCH
         d = max(math.sqrt(max(2.0 * median_of_five(recent), 0.0)), 0.5)
-        lift = drift.start(d, sigma_m * max(range_m / d, 1.0), s.noise)
-    motion = Motion(m.heading, m.vx, m.vy, 0.0, 0.0, 0.0)
+        sigma_m *= max(range_m / d, 1.0)
+        # the variance of a median of five, and half of the way since the first, to an unknown side
+        variance = 0.3 * sigma_m * sigma_m + 0.25 * (m.x * m.x + m.y * m.y)
+        lift = drift.start(d, variance, s.noise)
     return Seeking(1.0, s.noise, mode, 0.0, 0.0, UNKNOWN_M, motion, heard, lift, s.fix, s.manner)
 
 
@@ -301,163 +291,3 @@ def knowledge(p: SeekParameters, s: Seeking) -> Knowledge:
     across = uy * uy * q.xx - 2.0 * ux * uy * q.xy + ux * ux * q.yy
     sigma_theta = math.sqrt(max(across, 0.0)) / max(d, 0.3)
     return Knowledge(d, theta, math.sqrt(max(along, 0.0)), min(sigma_theta, math.pi))
-
-
-# --------------------------------------------------------------------------------------------- commanding
-
-
-def command(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) -> tuple[Seeking, Command]:
-    """Read the lift out, and steer by what it says."""
-    if s.mode == GATHER:
-        # a path begun with a well-known distance tells its bearing sooner
-        return s, Command(0.0, 0.0, PROBE)
-    s = caught_up(p, s)
-    h = s.heard
-    offset = h.range_m * p.offset
-    height = h.dh_m * h.sigma_dh_m
-    i = readout.information(s.lift, offset * offset + height * height)
-    if s.mode == SEARCH:
-        return search(p, s, i, yaw_rate_rad_s)
-    q = readout.fix(s.lift, i, s.lift.x, s.lift.y)
-    s = Seeking(
-        s.accepted, s.noise, s.mode, s.since_s, s.agreed, s.nearest_m, s.motion, s.heard, s.lift, q, s.manner
-    )
-    return follow(p, s, dt_s, yaw_rate_rad_s)
-
-
-def search(
-    p: SeekParameters, s: Seeking, i: readout.Information, yaw_rate_rad_s: float
-) -> tuple[Seeking, Command]:
-    """Turn to the side of the shorter path while the directions disagree, then to their mean."""
-    f, m = s.lift, s.motion
-    d = max(drift.distance(f), NEAR_RANGE_M)
-    weights = readout.posterior(f, i, d)
-    open_ = readout.mean_direction(weights)
-    hx, hy = math.cos(m.heading), math.sin(m.heading)
-    theta = math.atan2(hy * open_.cos - hx * open_.sin, hx * open_.cos + hy * open_.sin)
-    omega = yaw_rate(p, s.manner.turn, d, theta, 0.0, yaw_rate_rad_s)
-    if s.since_s < p.search_turn_s + p.lag:
-        omega = s.manner.turn * p.omega_max
-    elif open_.resultant < TURN_ON:
-        omega = p.omega_max * shorter_side(p, weights, m.heading, s.manner.turn, yaw_rate_rad_s)
-    q = Fix(d * open_.cos, d * open_.sin, 0.0, 0.0, 0.0, 0.0, 0.0)
-    mode, lift = SEARCH, f
-    if open_.resultant > AGREED or s.since_s > SEARCH_S:
-        mode = FOLLOW
-        q = readout.fix(f, i, q.x, q.y)
-        lift = drift.settle(f, q.x, q.y, q.xx + q.yy, s.noise)
-    manner = Manner(side(omega, s.manner.turn), False, False, 0.0)
-    agreed = max(open_.resultant, drift.TINY)
-    s = Seeking(s.accepted, s.noise, mode, s.since_s, agreed, UNKNOWN_M, m, s.heard, lift, q, manner)
-    return s, Command(p.v, omega, PROBE)
-
-
-def shorter_side(
-    p: SeekParameters, weights: list[float], heading_rad: float, turn: float, yaw_rate_rad_s: float
-) -> float:
-    """The side to turn to while the bearing is open: the shorter path on the mean, were the bearing known
-    LOOK_AHEAD_S from now.
-
-    Far from the target, a path is longer than the way that it gains towards it by ∫ v (1 − cos θ) dt: so
-    much for turning to one side or the other until then, and R (|θ| − sin |θ|), with R = v/ω̄, for the
-    shorter turn from there.
-    """
-    lag_s = p.lag * (1.0 - math.exp(-LOOK_AHEAD_S / p.lag)) if p.lag > 0.0 else 0.0
-    coast_rad = yaw_rate_rad_s * lag_s
-    turn_rad = turn * p.omega_max * (LOOK_AHEAD_S - lag_s)
-    on_rad, back_rad = coast_rad + turn_rad, coast_rad - turn_rad
-    difference = 0.0
-    for k in range(readout.AZIMUTHS):
-        left_rad = readout.AZIMUTH_RAD[k] - heading_rad
-        difference += weights[k] * (excess_m(p, left_rad, on_rad) - excess_m(p, left_rad, back_rad))
-    return turn if difference <= 0.0 else -turn
-
-
-def excess_m(p: SeekParameters, left_rad: float, turned_rad: float) -> float:
-    """How much longer the path becomes by a turn of LOOK_AHEAD_S, the target `left_rad` to the left."""
-    after = abs(model.wrap(left_rad - turned_rad))
-    # the mean of a cosine over an arc, to the second order
-    ahead = math.cos(left_rad - 0.5 * turned_rad) * (1.0 - turned_rad * turned_rad / 24.0)
-    return p.v * LOOK_AHEAD_S * (1.0 - ahead) + p.v / p.omega_max * (after - math.sin(after))
-
-
-def follow(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) -> tuple[Seeking, Command]:
-    """Steer to the target against the drift, and stop where it will surely rest within the radius."""
-    q, m, was = s.fix, s.motion, s.manner
-    hx, hy = math.cos(m.heading), math.sin(m.heading)
-    # the target as seen from where the vehicle would come to rest if it were stopped now
-    ex = q.x - p.velocity_lag * m.vx
-    ey = q.y - p.velocity_lag * m.vy
-    rest_m = math.hypot(ex, ey)
-    ahead = ex * hx + ey * hy
-    aside = hy * ex - hx * ey
-    sigma_m = math.sqrt(max(q.xx + q.yy, 0.0))
-    near_s = was.near_s + dt_s if rest_m < 2.0 * p.radius else max(was.near_s - dt_s, 0.0)
-    sure = p.stop_sigma * max(1.0 - (near_s / PATIENCE_S) ** 2, 0.0)
-    if was.rests:
-        rests = rest_m < 0.9 * p.radius
-    else:
-        arrived = rest_m < 0.3 * p.radius or was.stands or ahead < 0.0
-        rests = arrived and rest_m + max(sure * sigma_m, 0.4 * p.radius) < p.radius
-    if rests:
-        manner = Manner(was.turn, True, False, near_s)
-        return with_manner(s, manner), Command(0.0, 0.0, REST)
-    # a target inside the turning circle cannot be reached by turning on: turn on the spot, or, while its
-    # place is too uncertain for that, fly the circle, which tells it
-    turning_radius = p.v / p.omega_max
-    inside = math.hypot(ahead, abs(aside) - turning_radius) < turning_radius
-    off = math.atan2(aside, ahead)
-    if abs(off) > (AIMED_RAD if was.stands else TURN_RAD) and (inside or was.stands):
-        if sure * sigma_m > 0.6 * p.radius:
-            manner = Manner(was.turn, False, False, near_s)
-            return with_manner(s, manner), Command(p.v, was.turn * p.omega_max, TRACK)
-        omega = yaw_rate(p, was.turn, turning_radius, off, 0.0, yaw_rate_rad_s)
-        manner = Manner(side(omega, was.turn), False, True, near_s)
-        return with_manner(s, manner), Command(0.0, omega, TRACK)
-    # the velocity follows the nose: aim from where it will have done so
-    ax = ex + p.velocity_lag * p.v * hx
-    ay = ey + p.velocity_lag * p.v * hy
-    d = math.hypot(ax, ay) + drift.TINY
-    theta = math.atan2(hy * ax - hx * ay, hx * ax + hy * ay)
-    across = (ax * q.wy - ay * q.wx) / d
-    crab = math.asin(model.clip(across / p.v, CRAB_MAX))
-    omega = yaw_rate(p, was.turn, d, theta, crab, yaw_rate_rad_s)
-    manner = Manner(side(omega, was.turn), False, False, near_s)
-    return with_manner(s, manner), Command(p.v, omega, TRACK)
-
-
-def yaw_rate(
-    p: SeekParameters, turn: float, d_m: float, theta_rad: float, crab_rad: float, yaw_rate_rad_s: float
-) -> float:
-    """The yaw rate, within bounds, that brings the heading to `crab_rad` right of the target."""
-    if p.paper_law:
-        gains = lq.paper_gains(d_m, theta_rad, p.v, p.q1, p.q2, p.r)
-        return model.clip(lq.paper_yaw_rate(d_m, theta_rad + crab_rad, gains), p.omega_max)
-    error = model.wrap(theta_rad + crab_rad)
-    if abs(error) > math.pi - p.turn_through and error * turn > 0.0:
-        # almost straight astern, turning on is as near as turning back
-        error -= math.copysign(2.0 * math.pi, error)
-    gains = lq.bearing_gains(max(d_m, 0.5 * p.radius), p.v, p.lag, p.q1, p.q2, p.r)
-    return model.clip(lq.bearing_yaw_rate(error, yaw_rate_rad_s, gains), p.omega_max)
-
-
-def side(omega_rad_s: float, before: float) -> float:
-    """+1.0 for a turn to the left, −1.0 to the right; flying straight on changes nothing."""
-    return before if omega_rad_s == 0.0 else math.copysign(1.0, omega_rad_s)
-
-
-def with_manner(s: Seeking, manner: Manner) -> Seeking:
-    """The same state with another manner."""
-    return Seeking(
-        s.accepted,
-        s.noise,
-        s.mode,
-        s.since_s,
-        s.agreed,
-        s.nearest_m,
-        s.motion,
-        s.heard,
-        s.lift,
-        s.fix,
-        manner,
-    )

@@ -22,8 +22,8 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Literal["drift", "kalman", "luenberger"],
         Meta(
             description=(
-                "Who estimates the bearing: a Kalman filter that allows for drift, for constant errors "
-                "of the ranges and for the gyro's bias; one that does not; or the paper's observer Eq. (23)."
+                "Who estimates the bearing: a Kalman filter that allows for drift and for constant errors "
+                "of the ranges; one that does not; or the paper's observer Eq. (23)."
             )
         ),
     ] = "drift"
@@ -59,7 +59,7 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     first_turn: Annotated[
         Literal["left", "right"],
         Meta(description="Side of the probing turn while nothing is known of the bearing."),
-    ] = "left"
+    ] = "right"
     probe_turn_s: Annotated[
         float,
         Meta(
@@ -87,6 +87,17 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             description="A turn under way is not reversed while the target is this near to straight astern.",
         ),
     ] = 0.6
+    turn_on_spot_rad: Annotated[
+        float,
+        Meta(
+            gt=0.0,
+            le=math.pi,
+            description=(
+                "`drift`: a target further off the nose than this is turned to at speed 0, which saves the "
+                "arc; 3.14159 where a vehicle should not stop on its way."
+            ),
+        ),
+    ] = 2.0
     lq_q: Annotated[
         tuple[Weight, WeightOrNone],
         Meta(description="`lq`: weights of the squared bearing and of the squared yaw rate."),
@@ -94,10 +105,13 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lq_r: Annotated[Weight, Meta(description="`lq`: weight of the squared yaw-rate command.")] = 1.0
     kalman_position_noise: Annotated[
         WeightOrNone, Meta(description="`drift`, `kalman`: process noise on the target's position, m²/s.")
-    ] = 1e-3
+    ] = 3e-4
     kalman_turn_noise: Annotated[
         WeightOrNone, Meta(description="`drift`, `kalman`: process noise on the heading, rad²/s.")
-    ] = 1e-3
+    ] = 3e-4
+    kalman_drift_noise: Annotated[
+        WeightOrNone, Meta(description="`drift`: process noise on the drift, (m/s)²/s.")
+    ] = 2e-5
     kalman_gate_sigma: Annotated[
         float,
         Meta(
@@ -137,20 +151,11 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             gt=0.0,
             le=1.0,
             description=(
-                "`drift`: share of the expected errors of the dead reckoning (drift, gyro, process noise) "
-                "that is reckoned with until the ranges contradict it."
+                "`drift`: share of the expected errors of the dead reckoning (drift, process noise) that is "
+                "reckoned with until the ranges contradict it."
             ),
         ),
-    ] = 0.3
-    drift_change_m_s: Annotated[
-        float, Meta(ge=0.0, le=5.0, description="`drift`: one-sigma of its slow changes.")
-    ] = 0.03
-    drift_tau_s: Annotated[
-        float, Meta(gt=0.0, le=1e4, description="`drift`: time constant of its slow changes.")
-    ] = 30.0
-    gyro_bias_rad_s: Annotated[
-        float, Meta(gt=0.0, le=1.0, description="`drift`: one-sigma of the constant error of the yaw rate.")
-    ] = 0.02
+    ] = 0.05
     range_offset_m: Annotated[
         float,
         Meta(ge=0.0, le=5.0, description="`drift`: one-sigma of a constant error of the ranges."),

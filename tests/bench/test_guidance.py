@@ -265,3 +265,17 @@ def test_the_default_comes_to_rest_inside_the_radius_high_above_the_beacon() -> 
     """Where the distance drowns in the height, the place must come from how the range changes on the way."""
     flights = _flights(GuidanceSettings(), NOMINAL._replace(height_m=5.0), random_starts(200, seed=6))
     assert np.mean(np.array(flights.rest_m) <= NOMINAL.radius_m) >= 0.97
+
+
+@pytest.mark.parametrize("d_m", [4.0, 25.0])
+def test_a_target_behind_is_turned_to_on_the_spot_unless_the_vehicle_is_not_to_stop(d_m: float) -> None:
+    """Turning on the spot is what beats the turn bound; where it is forbidden, no path is shorter than it."""
+    starts = [Start(d_m, math.pi - 0.1, n) for n in range(40)]
+    turning = _flights(GuidanceSettings(), NOMINAL, starts)
+    assert np.median(np.divide(turning.path_m, turning.bound_m)) < 1.0
+    settings = GuidanceSettings(turn_on_spot_rad=math.pi)
+    going_on = _flights(settings, NOMINAL, starts)
+    assert np.min(np.divide(going_on.path_m, going_on.bound_m)) > 0.97  # it gathers speed in the turn
+    flight, trace = fly_plain(Flyer(capture(settings, 0.2)), NOMINAL, starts[0])
+    far = trace[(trace[:, 4] > 2.0) & (trace[:, 0] < flight.time_s)]
+    assert (far[:, 8] > 0.0).all()

@@ -275,7 +275,7 @@ def test_what_never_comes_is_named_after_its_time() -> None:
 
 def test_a_standstill_is_no_part_of_the_first_turn() -> None:
     script = Script()
-    guidance = GuidanceSettings(observer="luenberger", probe_turn_s=4.0)
+    guidance = GuidanceSettings(observer="luenberger", probe_turn_s=4.0, first_turn="left")
     before = engaged(script, Settings(guidance=guidance))  # it turns for one second
     script.tells_attitude = False
     standing = fly(script.run(4.0), before=before)
