@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -37,12 +38,14 @@ def running_mock(*arguments: str, endpoints: int = 3) -> Iterator[RunningMock]:
     try:
         yield RunningMock(process, _listening(process, endpoints))
     finally:
+        by_itself = process.poll()
         process.terminate()
         try:
-            process.communicate(timeout=10.0)
+            _, said = process.communicate(timeout=10.0)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.communicate()
+            _, said = process.communicate()
+    assert by_itself in (None, 0, -signal.SIGKILL), f"the mock ended by itself with {by_itself}: {said}"
 
 
 def _listening(process: subprocess.Popen[str], count: int) -> dict[str, str]:
