@@ -23,6 +23,8 @@ from companion.types import (
     ModeReport,
     Output,
     RangeSample,
+    Setpoint,
+    Status,
     Tick,
     VehicleHeartbeat,
 )
@@ -103,3 +105,13 @@ def engaged(script: Script, settings: Settings | None = None) -> Flown:
     ready = fly(script.run(2.0), settings)
     script.actual = script.intended = OFFBOARD
     return fly(script.run(1.0), before=ready)
+
+
+def last_status(flown: Flown) -> Status:
+    status = flown.of(Status)[-1]
+    assert isinstance(status, Status)
+    return status
+
+
+def setpoints(flown: Flown) -> list[Setpoint]:
+    return [s for s in flown.outputs if isinstance(s, Setpoint)]
