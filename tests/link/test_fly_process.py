@@ -170,12 +170,16 @@ def test_a_simulation_that_is_stopped_leaves_no_workers_behind() -> None:
         "sim.limit_s=3",
     )
     process = start(*arguments, group=0)
-    until(lambda: len(group(process.pid)) > 3, "workers, beside what starts them")
-    process.send_signal(signal.SIGTERM)
-    _, err = process.communicate(timeout=BOUND_S)
-    assert process.returncode == Exit.INTERRUPTED
-    assert "Traceback" not in err
-    until(lambda: not group(process.pid), "their end")
+    try:
+        until(lambda: len(group(process.pid)) > 3, "workers, beside what starts them")
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=BOUND_S)
+        assert process.returncode == Exit.INTERRUPTED
+        assert "Traceback" not in err
+        until(lambda: not group(process.pid), "their end")
+    finally:
+        with suppress(ProcessLookupError):  # nobody is left, as it should be
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def test_the_end_of_a_process_does_not_take_the_interpreter_down() -> None:
