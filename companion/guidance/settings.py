@@ -170,7 +170,7 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 "many sigmas to spare."
             ),
         ),
-    ] = 2.0
+    ] = 2.5
     lq_paper_q: Annotated[
         tuple[Weight, WeightOrNone], Meta(description="`lq-paper`: diagonal of the weight Q_c in Eq. (8).")
     ] = (0.5, 1.0)
