@@ -140,7 +140,8 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
     after, condition = phase.step(s.phase, facts)
     if condition is None:
         is_stale = s.phase is Phase.STALL and facts.ranges in (Ranges.STALE, Ranges.LOST)
-        return (_forgetting(p, s) if is_stale and s.steering.command is not STANDSTILL else s), None
+        has_heard = s.ranging.accepted_before_loss != s.ranging.accepted
+        return (_forgetting(p, s) if is_stale and has_heard else s), None
     reason = reasons.reason(p, s, after, condition, t_ns)
     severity = phase.severity(after, condition)
     change = PhaseChange(t_ns=t_ns, before=s.phase, after=after, reason=reason, severity=severity)
@@ -182,17 +183,17 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
 
 
 def _forgetting(p: Plan, s: State) -> State:
-    """Stale knowledge does not steer again, whatever the standstill began with: the bearing is acquired anew.
-
-    The command that this leaves says that it was done.
-    """
+    """Stale knowledge does not steer again, whatever the standstill began with: it is acquired anew."""
     return replace(
         s,
         observing=replace(s.observing, guidance=p.scheme.initial(p.scheme.p)),
         steering=replace(s.steering, command=STANDSTILL),
+        ranging=replace(s.ranging, accepted_before_loss=s.ranging.accepted),
     )
 
 
+_RANGES_BACK = 5
+"""So many ranges believed end a loss: a stray one alone moves nothing."""
 _GROUNDED = frozenset({Landed.ON_GROUND})
 _NOT_UP = frozenset({Landed.ON_GROUND, Landed.TAKING_OFF, Landed.UNKNOWN})
 """ArduPilot takes off in GUIDED: there only a vehicle that is known to be up is engaged."""
@@ -204,7 +205,9 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     v = _as_if_selected(s) if p.settings.mission.shadow else s.vehicle
     range_age_s = age_s(s.ranging.t_enough_ns, t_ns)
     bearing_lost = False
-    if range_age_s <= cfg.coast_after_s:
+    before = s.ranging.accepted_before_loss
+    lost = s.phase is Phase.STALL and before is not None and s.ranging.accepted < before + _RANGES_BACK
+    if range_age_s <= cfg.coast_after_s and not lost:
         ranges = Ranges.FRESH
     elif range_age_s <= cfg.stall_after_s:
         ranges = Ranges.LATE

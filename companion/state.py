@@ -41,6 +41,8 @@ class Ranging(msgspec.Struct, frozen=True, gc=False):
     rejected: dict[Verdict, int] = {}
     malformed: dict[str, int] = {}
     accepted: int = 0
+    accepted_before_loss: int | None = None
+    """So many until the last loss; none since the vehicle was engaged: None."""
     t_ns: int | None = None
     """When a range was believed last."""
     heard: dict[str, int] = {}

@@ -1,8 +1,8 @@
 """Target capture (Problem 1 of the paper): an observer and a steering law, put together into a `Scheme`.
 
-Either observer goes with either law. What a scheme does, in order: it stands still until its observer has a
-first estimate; turns at ω̄ for a moment, and again whenever the bearing is too uncertain to steer by (PROBE);
-steers to the target (TRACK); stops inside the capture radius (REST).
+Any observer goes with either law. What a scheme does, in order: it stands still until its observer has a
+first estimate ("drift" turns already); turns at ω̄ for a moment, and again whenever the bearing is too
+uncertain to steer by (PROBE); steers to the target (TRACK); stops inside the capture radius (REST).
 """
 
 from __future__ import annotations

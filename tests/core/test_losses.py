@@ -61,6 +61,24 @@ def test_ranges_that_come_back_lead_through_acquisition() -> None:
     assert changes[0] is Phase.ACQUIRE
 
 
+def test_stray_ranges_end_no_loss() -> None:
+    """One now and one later, believed as they are, move nothing: a beacon that is back tells more."""
+    script = Script()
+    before = engaged(script)
+    script.range_m = None
+    lost = fly(script.run(6.0), before=before)
+    for _ in range(6):
+        heard = lost.state.ranging.accepted
+        script.range_m = 10.0
+        while lost.state.ranging.accepted == heard:
+            lost = fly(script.run(0.05), before=lost)
+            assert lost.state.phase is Phase.STALL
+        script.range_m = None
+        lost = fly(script.run(5.0), before=lost)
+        assert lost.state.phase is Phase.STALL
+        assert {s.speed_m_s for s in setpoints(lost)} == {0.0}
+
+
 @pytest.mark.parametrize("began_with", ["ranges", "heading"])
 def test_what_was_known_before_a_long_gap_does_not_steer_after_it(began_with: str) -> None:
     """Whatever the standstill began with: an uncertain bearing, or a heading that did not come."""
