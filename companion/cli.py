@@ -282,7 +282,7 @@ def _parser() -> argparse.ArgumentParser:
         "every guidance scheme on every plant, from the same starts",
         "companion bench guidance --runs 1000 --plots plots\n"
         "  companion bench guidance --case nominal --scheme companion --runs 10000\n"
-        "  companion bench guidance --case station --case station-drift-0.2 --runs 1000   # about 25 minutes",
+        "  companion bench guidance --case station --case station-drift-0.2 --runs 1000   # some minutes",
     )
     _config_options(guidance)
     guidance.add_argument("--runs", metavar="N", type=_at_least_one, default=1000, help="flights of each")
