@@ -140,7 +140,7 @@ def _transit(p: Plan, s: State, t_ns: int) -> tuple[State, PhaseChange | None]:
     after, condition = phase.step(s.phase, facts)
     if condition is None:
         is_stale = s.phase is Phase.STALL and facts.ranges in (Ranges.STALE, Ranges.LOST)
-        has_heard = s.ranging.accepted_before_loss != s.ranging.accepted
+        has_heard = s.ranging.accepted_before_loss != s.ranging.accepted  # since it was done last
         return (_forgetting(p, s) if is_stale and has_heard else s), None
     reason = reasons.reason(p, s, after, condition, t_ns)
     severity = phase.severity(after, condition)

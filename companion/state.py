@@ -42,7 +42,7 @@ class Ranging(msgspec.Struct, frozen=True, gc=False):
     malformed: dict[str, int] = {}
     accepted: int = 0
     accepted_before_loss: int | None = None
-    """So many until the last loss; none since the vehicle was engaged: None."""
+    """So many when the ranges were lost last in flight; None: they never were."""
     t_ns: int | None = None
     """When a range was believed last."""
     heard: dict[str, int] = {}

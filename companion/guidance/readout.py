@@ -1,4 +1,4 @@
-"""What the lift of `drift` says of the target, read where x1 is half the square of (x, y)."""
+"""What the lift of `drift` says of target and drift, read where its states belong together."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def fix(f: DriftLift, offset_variance: float, x: float, y: float, wx: float, wy:
     xx = xy = yy = 0.0
     for _ in range(_STEPS):
         vx, vy = 2.0 * wx, 2.0 * wy
-        # covariance of (ρ, w) and of the constraints with the constraints
+        # the constraints, linear about (ρ̂, ŵ), and their covariance with the states and with one another:
         # g1 = x1 − ρ·ρ̂ + |ρ̂|²/2, g2 = s − ρ̂·w − ŵ·ρ + ρ̂·ŵ, g3 = u − 2 ŵ·w + |ŵ|²
         a1 = p01 - x * p11 - y * p12
         a2 = p02 - x * p12 - y * p22

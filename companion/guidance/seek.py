@@ -1,4 +1,4 @@
-"""Target capture with the lift of `drift`: what the observer "drift" does with ranges, and how it steers.
+"""Target capture with the lift of `drift`: what its observer does with moves and ranges. `seek_steer` steers.
 
 GATHER until there are five ranges; SEARCH with the bearing open, on its posterior; FOLLOW with the bearing
 known. The frame is that of `drift`: dead-reckoned, the heading zero where guidance began.
