@@ -88,6 +88,15 @@ def heard(link: VehicleLink) -> list[Event]:
     return list(link.receive())
 
 
+def next_heard(link: VehicleLink) -> list[Event]:
+    """The next events that there are."""
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end:
+        if events := heard(link):
+            return events
+    raise AssertionError("nothing was heard")
+
+
 def test_telemetry_arrives_with_our_signs(link: VehicleLink, autopilot: Autopilot) -> None:
     autopilot.heartbeat()
     heard(link)
@@ -151,10 +160,7 @@ def test_a_ground_station_on_the_same_link_is_not_the_vehicle(
     autopilot.say(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
     autopilot.mav.srcSystem, autopilot.mav.srcComponent = 7, 1
     autopilot.heartbeat()
-    events: list[Event] = []
-    while not events:
-        events += heard(link)
-    (event,) = events
+    (event,) = next_heard(link)
     assert isinstance(event, VehicleHeartbeat)
     assert event.system_id == 7
 
@@ -219,10 +225,7 @@ def test_what_a_bridge_sends_back_is_no_second_companion(link: VehicleLink, auto
     for _ in range(6):  # four requests before them
         autopilot.socket.send(autopilot.socket.recv(2048))
     autopilot.heartbeat()
-    events: list[Event] = []
-    while not events:
-        events += heard(link)
-    (event,) = events
+    (event,) = next_heard(link)
     assert isinstance(event, VehicleHeartbeat)
     autopilot.mav.srcSystem, autopilot.mav.srcComponent = 7, 191
     autopilot.say(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
