@@ -17,9 +17,14 @@ def run() -> NoReturn:
     ("FATAL: exception not rethrown"): a flight that ended in order would look like a crash to systemd.
     """
     status = main()
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):  # nobody reads any more
-            stream.flush()
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # nobody reads any more
+        pass
+    except OSError as error:  # the status stays that of the command: a flight was what it was
+        print(f"companion: its output could not be written: {error.strerror}", file=sys.stderr)
+    with suppress(OSError):
+        sys.stderr.flush()
     os._exit(status)
 
 

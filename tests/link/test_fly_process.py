@@ -195,6 +195,17 @@ def test_the_end_of_a_process_does_not_take_the_interpreter_down() -> None:
     assert ended.stdout.endswith("}\n")  # all of it, and nothing after it
 
 
+def test_output_that_is_lost_is_told() -> None:
+    """Even where it waited in the buffer until the end."""
+    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+    command = [sys.executable, "-m", "companion", "ranges", "schema"]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            command, cwd=ROOT, env=buffered, stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert "could not be written: No space left on device" in ended.stderr
+
+
 @pytest.mark.parametrize("arguments", [("--help",), ("fly", "--help"), ("sim", "--help"), ("--version",)])
 def test_help_and_version(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of(arguments) == Exit.OK
