@@ -14,9 +14,12 @@ AZIMUTHS = 24
 AZIMUTH_RAD = tuple(2.0 * math.pi * (i + 0.5) / AZIMUTHS for i in range(AZIMUTHS))
 COS = tuple(math.cos(azimuth) for azimuth in AZIMUTH_RAD)
 SIN = tuple(math.sin(azimuth) for azimuth in AZIMUTH_RAD)
-_STEPS = 4
-_DONE_M2 = 1e-4
+STEPS = 4
+DONE_M2 = 1e-4
 """Gauss-Newton ends after so many steps, or after one shorter than a centimetre."""
+SAME = 0.3
+"""One step is enough from a fix that differs from the lift's own place by less than this share of the
+distance."""
 
 
 class Information(NamedTuple):
@@ -56,7 +59,18 @@ def information(f: DriftLift, offset_variance: float) -> Information:
     )
 
 
-def fix(f: DriftLift, offset_variance: float, x: float, y: float, wx: float, wy: float) -> Fix:
+def renewed(f: DriftLift, offset_variance: float, q: Fix) -> Fix:
+    """The fix after one more range, from the last one: with a range every few hundredths of a second one step
+    keeps up. Where the lift's own place is elsewhere, the fix begins there anew."""
+    ex, ey = q.x - f.x, q.y - f.y
+    if ex * ex + ey * ey < SAME * SAME * (f.x * f.x + f.y * f.y):
+        return fix(f, offset_variance, q.x, q.y, q.wx, q.wy, 1)
+    return fix(f, offset_variance, f.x, f.y, f.wx, f.wy)
+
+
+def fix(
+    f: DriftLift, offset_variance: float, x: float, y: float, wx: float, wy: float, steps: int = STEPS
+) -> Fix:
     """The most probable target and drift, by Gauss-Newton from the ones given, where the lift is one of a
     target and a drift: x1 = |ρ|²/2, s = ρ·w, u = |w|²."""
     longer = 2.0 * f.x1 / (x * x + y * y + TINY)
@@ -69,8 +83,7 @@ def fix(f: DriftLift, offset_variance: float, x: float, y: float, wx: float, wy:
     p11, p12, p13, p14, p15, p16 = f.p11, f.p12, f.p13, f.p14, f.p15, f.p16
     p22, p23, p24, p25, p26 = f.p22, f.p23, f.p24, f.p25, f.p26
     p33, p34, p35, p36, p44, p45, p46 = f.p33, f.p34, f.p35, f.p36, f.p44, f.p45, f.p46
-    xx = xy = yy = 0.0
-    for _ in range(_STEPS):
+    for _ in range(steps):
         vx, vy = 2.0 * wx, 2.0 * wy
         # the constraints, linear about (ρ̂, ŵ), and their covariance with the states and with one another:
         # g1 = x1 − ρ·ρ̂ + |ρ̂|²/2, g2 = s − ρ̂·w − ŵ·ρ + ρ̂·ŵ, g3 = u − 2 ŵ·w + |ŵ|²
@@ -117,18 +130,18 @@ def fix(f: DriftLift, offset_variance: float, x: float, y: float, wx: float, wy:
         wy = f.wy - a4 * m1 - b4 * m2 - c4 * m3
         x += dx
         y += dy
-        # what is left of the covariance of ρ
-        k1 = a1 / l11
-        k2 = (b1 - l21 * k1) / l22
-        k3 = (c1 - l31 * k1 - l32 * k2) / l33
-        j1 = a2 / l11
-        j2 = (b2 - l21 * j1) / l22
-        j3 = (c2 - l31 * j1 - l32 * j2) / l33
-        xx = p11 - k1 * k1 - k2 * k2 - k3 * k3
-        xy = p12 - k1 * j1 - k2 * j2 - k3 * j3
-        yy = p22 - j1 * j1 - j2 * j2 - j3 * j3
-        if dx * dx + dy * dy < _DONE_M2:
+        if dx * dx + dy * dy < DONE_M2:
             break
+    # what is left of the covariance of ρ
+    k1 = a1 / l11
+    k2 = (b1 - l21 * k1) / l22
+    k3 = (c1 - l31 * k1 - l32 * k2) / l33
+    j1 = a2 / l11
+    j2 = (b2 - l21 * j1) / l22
+    j3 = (c2 - l31 * j1 - l32 * j2) / l33
+    xx = p11 - k1 * k1 - k2 * k2 - k3 * k3
+    xy = p12 - k1 * j1 - k2 * j2 - k3 * j3
+    yy = p22 - j1 * j1 - j2 * j2 - j3 * j3
     return Fix(x, y, max(xx, TINY), xy, max(yy, TINY), wx, wy)
 
 

@@ -46,7 +46,7 @@ def command(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) -
     offset_variance = offset * offset + height * height
     if s.mode == SEARCH:
         return search(p, s, offset_variance, yaw_rate_rad_s)
-    q = readout.fix(f, offset_variance, f.x, f.y, f.wx, f.wy)
+    q = readout.renewed(f, offset_variance, s.fix)
     s = Seeking(s.accepted, s.noise, s.mode, s.since_s, s.agreed, s.nearest_m, s.motion, h, f, q, s.manner)
     return follow(p, s, dt_s, yaw_rate_rad_s)
 
