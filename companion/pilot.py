@@ -168,6 +168,7 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
                 limits=limits.start(t_ns),
             ),
             flight=replace(s.flight, was_engaged=True, captured=False, t_engaged_ns=t_ns, engaged_s=0.0),
+            ranging=replace(s.ranging, accepted_before_loss=None),
         )
     if condition is Condition.RANGES_STALE:
         return _forgetting(p, s)
@@ -184,12 +185,20 @@ def _enter(p: Plan, s: State, after: Phase, condition: Condition, t_ns: int) -> 
 
 def _forgetting(p: Plan, s: State) -> State:
     """Stale knowledge does not steer again, whatever the standstill began with: it is acquired anew."""
+    r = s.ranging
+    t_lost_ns = r.t_lost_ns if _is_lost(s) else r.t_enough_ns  # stray ranges begin no new loss
     return replace(
         s,
         observing=replace(s.observing, guidance=p.scheme.initial(p.scheme.p)),
         steering=replace(s.steering, command=STANDSTILL),
-        ranging=replace(s.ranging, accepted_before_loss=s.ranging.accepted),
+        ranging=replace(r, accepted_before_loss=r.accepted, t_lost_ns=t_lost_ns),
     )
+
+
+def _is_lost(s: State) -> bool:
+    """The ranges were lost in flight, and too few have been believed since."""
+    before = s.ranging.accepted_before_loss
+    return s.phase is Phase.STALL and before is not None and s.ranging.accepted < before + _RANGES_BACK
 
 
 _RANGES_BACK = 5
@@ -205,9 +214,10 @@ def _facts(p: Plan, s: State, t_ns: int) -> Facts:
     v = _as_if_selected(s) if p.settings.mission.shadow else s.vehicle
     range_age_s = age_s(s.ranging.t_enough_ns, t_ns)
     bearing_lost = False
-    before = s.ranging.accepted_before_loss
-    lost = s.phase is Phase.STALL and before is not None and s.ranging.accepted < before + _RANGES_BACK
-    if range_age_s <= cfg.coast_after_s and not lost:
+    lost = _is_lost(s)
+    if lost and age_s(s.ranging.t_lost_ns, t_ns) > cfg.hand_over_after_s:
+        ranges = Ranges.LOST  # critical: stray ranges must not keep it standing in the air
+    elif range_age_s <= cfg.coast_after_s and not lost:
         ranges = Ranges.FRESH
     elif range_age_s <= cfg.stall_after_s:
         ranges = Ranges.LATE

@@ -46,6 +46,10 @@ def _reason(p: Plan, s: State, condition: Condition, t_ns: int) -> str:
     h, text = s.health, condition.value
     if condition in (Condition.PROBING, Condition.TRACKING):
         return _bearing(p, s, text)
+    if condition is Condition.RANGES_LOST and (
+        age_s(s.ranging.t_enough_ns, t_ns) <= p.settings.loss.hand_over_after_s
+    ):
+        return "only stray ranges for too long"
     if condition in _LOSSES:
         return with_the_silent(p, s, t_ns, text)
     if condition is Condition.BUDGET_SPENT:

@@ -227,7 +227,12 @@ class LossSettings(Table, frozen=True):
         ),
     ] = 0.5
     hand_over_after_s: Annotated[
-        float, Meta(gt=0.0, le=600.0, description="No believed range for this long: hand over.")
+        float,
+        Meta(
+            gt=0.0,
+            le=600.0,
+            description="No believed range, or stray ones only, for this long: hand over.",
+        ),
     ] = 15.0
     hand_over_to: Annotated[
         Literal["land", "hold", "release"],

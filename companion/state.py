@@ -42,7 +42,9 @@ class Ranging(msgspec.Struct, frozen=True, gc=False):
     malformed: dict[str, int] = {}
     accepted: int = 0
     accepted_before_loss: int | None = None
-    """So many when the ranges were lost last in flight; None: they never were."""
+    """So many when the ranges were lost last in this flight; None: they never were."""
+    t_lost_ns: int | None = None
+    """Until when enough beacons were heard before that loss."""
     t_ns: int | None = None
     """When a range was believed last."""
     heard: dict[str, int] = {}

@@ -64,7 +64,7 @@ def test_ranges_that_come_back_lead_through_acquisition() -> None:
 def test_stray_ranges_end_no_loss() -> None:
     """One now and one later, believed as they are, move nothing: a beacon that is back tells more."""
     script = Script()
-    before = engaged(script)
+    before = engaged(script, Settings(loss=LossSettings(hand_over_after_s=60.0)))
     script.range_m = None
     lost = fly(script.run(6.0), before=before)
     for _ in range(6):
@@ -77,6 +77,32 @@ def test_stray_ranges_end_no_loss() -> None:
         lost = fly(script.run(5.0), before=lost)
         assert lost.state.phase is Phase.STALL
         assert {s.speed_m_s for s in setpoints(lost)} == {0.0}
+
+
+def test_stray_ranges_put_off_no_hand_over() -> None:
+    """They must not keep it standing in the air until the battery or the flight time ends."""
+    script = Script()
+    lost = engaged(script, Settings(loss=LossSettings(hand_over_after_s=10.0)))
+    changes: list[PhaseChange] = []
+    for _ in range(6):
+        for range_m, seconds in ((None, 2.5), (10.0, 0.05)):
+            script.range_m = range_m
+            lost = fly(script.run(seconds), before=lost)
+            changes += [c for c in lost.outputs if isinstance(c, PhaseChange)]
+    handed = [c.reason for c in changes if c.after is Phase.HAND_OVER]
+    assert handed == ["only stray ranges for too long"]
+
+
+def test_an_old_loss_does_not_shorten_the_patience_with_the_next() -> None:
+    script = Script()
+    settings = Settings(loss=LossSettings(hand_over_after_s=10.0))
+    script.range_m, before = None, engaged(script, settings)
+    lost = fly(script.run(9.0), before=before)
+    script.range_m = 10.0
+    back = fly(script.run(2.0), before=lost)
+    assert back.state.phase is not Phase.STALL
+    script.range_m = None
+    assert fly(script.run(8.0), before=back).state.phase is Phase.STALL
 
 
 @pytest.mark.parametrize("began_with", ["ranges", "heading"])

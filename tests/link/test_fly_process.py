@@ -195,15 +195,16 @@ def test_the_end_of_a_process_does_not_take_the_interpreter_down() -> None:
     assert ended.stdout.endswith("}\n")  # all of it, and nothing after it
 
 
-def test_output_that_is_lost_is_told() -> None:
-    """Even where it waited in the buffer until the end."""
-    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_that_is_lost_is_told(unbuffered: str) -> None:
+    """At once, or even where it waited in the buffer until the end."""
     command = [sys.executable, "-m", "companion", "ranges", "schema"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            command, cwd=ROOT, env=buffered, stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            command, cwd=ROOT, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
-    assert "could not be written: No space left on device" in ended.stderr
+    assert ended.stderr == "companion: its output could not be written: No space left on device\n"
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("fly", "--help"), ("sim", "--help"), ("--version",)])
