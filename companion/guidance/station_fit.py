@@ -108,6 +108,17 @@ def accumulate(m: Moments, keep: float, weight: float, x: float, y: float, t: fl
     )
 
 
+def velocity(moments: Sequence[Moments]) -> tuple[float, float]:
+    """The mean velocity of the path along which the ranges were taken."""
+    tt = tx = ty = 0.0
+    for m in moments:
+        if m.one > 0.0:
+            tt += m.tt - m.t * m.t / m.one
+            tx += m.tx - m.t * m.x / m.one
+            ty += m.ty - m.t * m.y / m.one
+    return tx / (tt + TINY), ty / (tt + TINY)
+
+
 class Normal(NamedTuple):
     """Half the weighted sum of squared residuals at (b, w), up to a constant; its gradient; and its
     Gauss-Newton matrix [[a, −h], [−h, c]] in (b, w): a, h, c = Σ ρρᵀ, Σ t ρρᵀ, Σ t² ρρᵀ, ρ = b − x − w t."""

@@ -45,15 +45,18 @@ Q_DRIFT = 1e-4
 """Process noise on the drift, (m/s)²/s."""
 MAP_SIGMA_M = 0.03
 """Added to the ranges' sigma, for the map's errors."""
-START_SIGMA_M = 0.2
+START_SIGMA_M = 0.05
+"""One sigma of the position in a map just made: the ranges fit it well, and with more a reflected range would
+be believed."""
 START_DRIFT_SIGMA_M_S = 0.03
-"""One sigma of the position and of the velocity over ground in a map just made."""
+"""One sigma of the velocity over ground in a map just made."""
 
 
 def start(
     x: float, y: float, heading: float, wx: float, wy: float, vx: float, vy: float, turn: float
 ) -> Pose:
-    """Begin in a map just made, `turn` one sigma of its orientation.
+    """Begin in a map just made, `turn` one sigma of its orientation, (vx, vy) the mean velocity through the
+    air while it was made.
 
     The velocity over ground (vx, vy) + (wx, wy) is well known from the ranges: a map turned by δ has a drift
     that is wrong by δ (vy, −vx).

@@ -33,7 +33,7 @@ UNLIKELY = 20.0
 FLIPS = 3
 """So many beacons, those that are least certain, are tried at their second place too."""
 APART_M = 0.5
-"""Fits whose stations are closer than this are the same."""
+"""Fits whose stations and beacons are closer than this are the same."""
 
 
 class Modes(NamedTuple):
@@ -47,9 +47,13 @@ class Modes(NamedTuple):
     other_cost: float
 
 
-def modes(m: Moments, x: float, y: float, range_m: float, drift_sigma: float) -> Modes:
+def modes(
+    m: Moments, x: float, y: float, range_m: float, drift_sigma: float,
+    t: float = 0.0, wx: float = 0.0, wy: float = 0.0,
+) -> Modes:  # fmt: skip
     """Try a ring of bearings around the vehicle, distance and drift free at each; its two lowest minima.
 
+    The vehicle is at (x, y) + (wx, wy) t now, if the drift is (wx, wy); the places are those for that drift.
     This is where the mirror image shows: after little turning, the minima to both sides are as deep.
     """
     prior = 1.0 / (drift_sigma * drift_sigma)
@@ -57,18 +61,19 @@ def modes(m: Moments, x: float, y: float, range_m: float, drift_sigma: float) ->
     for i in range(RING):
         a = 2.0 * math.pi * i / RING
         ux, uy = math.cos(a), math.sin(a)
-        bx, by = x + range_m * ux, y + range_m * uy
-        n = normal(m, bx, by, 0.0, 0.0)
-        # Newton's step over (distance, drift)
+        bx, by = x + wx * t + range_m * ux, y + wy * t + range_m * uy
+        n = normal(m, bx, by, wx, wy)
+        # Newton's step over (distance from where the vehicle is now, drift): b moves by t with the drift
         g = n.gbx * ux + n.gby * uy
-        h = n.axx * ux * ux + 2.0 * n.axy * ux * uy + n.ayy * uy * uy + TINY
-        f1 = -n.hxx * ux - n.hxy * uy
-        f2 = -n.hxy * ux - n.hyy * uy
-        s11 = n.cxx + prior - f1 * f1 / h
-        s12 = n.cxy - f1 * f2 / h
-        s22 = n.cyy + prior - f2 * f2 / h
-        g1 = n.gwx - f1 * g / h
-        g2 = n.gwy - f2 * g / h
+        ax, ay = n.axx * ux + n.axy * uy, n.axy * ux + n.ayy * uy
+        h = ax * ux + ay * uy + TINY
+        f1 = t * ax - n.hxx * ux - n.hxy * uy
+        f2 = t * ay - n.hxy * ux - n.hyy * uy
+        s11 = n.cxx - 2.0 * t * n.hxx + t * t * n.axx + prior - f1 * f1 / h
+        s12 = n.cxy - 2.0 * t * n.hxy + t * t * n.axy - f1 * f2 / h
+        s22 = n.cyy - 2.0 * t * n.hyy + t * t * n.ayy + prior - f2 * f2 / h
+        g1 = n.gwx + t * n.gbx + prior * wx - f1 * g / h
+        g2 = n.gwy + t * n.gby + prior * wy - f2 * g / h
         det = s11 * s22 - s12 * s12
         w1 = -(s22 * g1 - s12 * g2) / det
         w2 = -(s11 * g2 - s12 * g1) / det
@@ -149,11 +154,18 @@ class Search(NamedTuple):
 
     looked: int
     candidates: tuple[Candidate, ...]
+    wx: float = 0.0
+    wy: float = 0.0
     starts: tuple[Start, ...] = ()
     planned: int = 0
     fits: tuple[Fit, ...] = ()
     trial: Fit | None = None
     rounds: int = 0
+
+    @property
+    def is_drifting(self) -> bool:
+        """True where it begins with a drift."""
+        return self.wx != 0.0 or self.wy != 0.0
 
     @property
     def is_done(self) -> bool:
@@ -167,7 +179,7 @@ NEW = Search(0, ())
 def look(search: Search, found: Candidate | None) -> Search:
     """One more beacon has been looked at, or had nothing to show."""
     candidates = search.candidates if found is None else (*search.candidates, found)
-    return Search(search.looked + 1, candidates)
+    return search._replace(looked=search.looked + 1, candidates=candidates)
 
 
 def plan(search: Search) -> Search:
@@ -179,8 +191,8 @@ def plan(search: Search) -> Search:
     distances = [c.distance for c in search.candidates]
     for beacons in combinations([c.modes for c in search.candidates]):
         for px, py in stations(beacons, distances):
-            starts.append(Start(Common(px, py, 0.0, 0.0), tuple(beacons)))
-    return Search(search.looked, search.candidates, tuple(starts), len(starts))
+            starts.append(Start(Common(px, py, search.wx, search.wy), tuple(beacons)))
+    return search._replace(starts=tuple(starts), planned=len(starts))
 
 
 def attempt(search: Search, drift_sigma: float) -> Search:
@@ -208,14 +220,24 @@ def image(of: Fit) -> Start:
     return Start(Common(u.px - off * line.uy, u.py + off * line.ux, u.wx, u.wy), of.beacons)
 
 
-def result(search: Search) -> tuple[Fit, float]:
-    """The best fit, and how much more the next best *other* station costs (half a χ²; infinite: none)."""
-    fits = sorted(search.fits[: search.planned], key=_cost)
+def result(search: Search, t: float) -> tuple[Fit, float]:
+    """The best fit, and how much more the next best *other* one costs (half a χ²; infinite: none): one with
+    the station or a beacon elsewhere at the time t."""
+    fits = sorted(search.fits, key=_cost)
     best = fits[0]
     for other in fits[1:]:
-        if math.hypot(other.at.u.px - best.at.u.px, other.at.u.py - best.at.u.py) > APART_M:
+        if _apart_m(best, other, t) > APART_M:
             return best, other.cost - best.cost
     return best, math.inf
+
+
+def _apart_m(a: Fit, b: Fit, t: float) -> float:
+    """How far apart two fits have the station or a beacon, at the time t as seen from the vehicle."""
+    driftx, drifty = (a.at.u.wx - b.at.u.wx) * t, (a.at.u.wy - b.at.u.wy) * t
+    one, other = ((a.at.u.px, a.at.u.py), *a.beacons), ((b.at.u.px, b.at.u.py), *b.beacons)
+    return max(
+        math.hypot(p[0] - q[0] - driftx, p[1] - q[1] - drifty) for p, q in zip(one, other, strict=True)
+    )
 
 
 def _cost(of: Fit) -> float:

@@ -27,6 +27,8 @@ TURN_M = 0.09
 """Nearer than this the direction of the station means nothing, and the vehicle does not turn to it."""
 ALIGNED_RAD = 0.3
 """Without a drift, the vehicle turns on the spot until the station is ahead within this."""
+ASIDE_RAD = 0.5
+"""A station further aside than this may lie inside the tightest turn."""
 LOOK_S = 2.5
 """At the station, head for the point from which the drift would bring the vehicle here in this time."""
 SETTLE_S = 2.0
@@ -99,7 +101,10 @@ def steer(law: Law, q: Situation, stay: Stay, dt_s: float, yaw_rate_rad_s: float
         return Stay(True, False, 0.0), Command(0.0, 0.0, TRACK)
     theta = _bearing(ax, ay, heading)
     crab = _crab(law, ax, ay, wx, wy) * min(1.0, 2.0 * near)
-    return AWAY, Command(law.v, _approach_rate(law, theta, crab, near, yaw_rate_rad_s), TRACK)
+    # what lies inside the tightest turn would be circled for ever: turn to it on the spot
+    inside = abs(theta) > ASIDE_RAD and near < 2.0 * law.v / law.omega_max * abs(math.sin(theta))
+    v = 0.0 if inside else law.v
+    return AWAY, Command(v, _approach_rate(law, theta, crab, near, yaw_rate_rad_s), TRACK)
 
 
 def _approach_rate(law: Law, theta: float, crab: float, near: float, yaw_rate: float) -> float:

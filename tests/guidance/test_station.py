@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 import random
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
 from companion.bench.station_plant import Air, Field, Stayed, bound_m, fly, random_field
-from companion.guidance import station_steer
+from companion.guidance import station_pose, station_steer
 from companion.guidance.scheme import STAY, TRACK, Scheme
 from companion.guidance.settings import GuidanceSettings
-from companion.guidance.station import Mode, Problem, Station, station
+from companion.guidance.station import station
 from companion.guidance.station_settings import StationSettings
+from companion.guidance.station_state import Mode, Problem, Station
 from companion.guidance.station_steer import Situation
 
 SHORT = Air(limit_s=150.0, hold_s=30.0)
@@ -94,9 +96,31 @@ def test_too_few_heard_beacons_are_named_and_nothing_moves() -> None:
 
 def test_beacons_in_a_line_are_named_and_refused() -> None:
     field = Field((9.0, 6.0), ((5.0, 2.0), (9.0, 2.0), (14.0, 2.0)))
-    flight = fly(scheme_for(field), field, 9, Air(limit_s=40.0))
+    flight = fly(scheme_for(field), field, 9, Air(limit_s=60.0))
     assert flight.time_s == math.inf
     assert state_of(flight).problem == Problem.COLLINEAR
+
+
+def test_beacons_almost_in_a_line_are_looked_at_from_around_the_station_and_not_refused() -> None:
+    # 2.1 m along and 0.21 m across their line
+    field = Field((8.7, -6.6), ((14.1, -9.2), (9.7, -10.1), (14.1, -9.7)))
+    flight = fly(scheme_for(field), field, 9, SHORT)
+    assert flight.worst_m <= 0.3
+    assert state_of(flight).problem == Problem.NONE
+
+
+def test_what_the_way_here_has_left_open_is_decided_before_it_is_told_to_stay() -> None:
+    field = Field((-23.9, 8.5), ((-27.5, 10.1), (-30.7, 10.5), (-25.0, 4.3)))
+    modes: list[Mode] = []
+
+    def tell(s: Any, truth: Situation) -> Any:
+        modes.append(s.mode)
+        return s
+
+    flight = fly(scheme_for(field), field, 14, SHORT._replace(hold_s=0.0), tell=tell)
+    assert flight.time_s < math.inf
+    assert modes[-1] == Mode.KEEP
+    assert state_of(flight).steps_s > 0.0
 
 
 def test_all_beacons_gone_at_the_station_stops_the_vehicle() -> None:
@@ -144,6 +168,25 @@ def test_the_mirror_image_is_flown_as_the_mirror_image() -> None:
 def test_the_same_flight_twice_is_the_same() -> None:
     one, other = (fly(scheme_for(TRIANGLE), TRIANGLE, 13, SHORT._replace(limit_s=30.0)) for _ in range(2))
     assert one == other
+
+
+def test_a_station_inside_the_tightest_turn_is_turned_to_on_the_spot() -> None:
+    law = scheme_for(TRIANGLE).p.law
+
+    def speed(ex: float, ey: float) -> float:
+        at = Situation(ex, ey, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return station_steer.steer(law, at, station_steer.AWAY, 0.05, 0.0)[1].v_m_s
+
+    assert speed(0.0, 0.6) == 0.0
+    assert speed(0.0, 1.2) == law.v
+    assert speed(0.6, 0.1) == law.v
+
+
+def test_a_reflected_range_moves_nothing_in_a_map_just_made() -> None:
+    pose = station_pose.start(0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.05)
+    moved, accepted = station_pose.update(pose, 8.0, 0.0, 8.5, 0.07, 0.0, 0.0, 5.0)
+    assert not accepted
+    assert moved == pose
 
 
 def test_what_stays_is_not_told_to_have_left_before_it_is_outside() -> None:

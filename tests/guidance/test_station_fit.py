@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.guidance import station_fit, station_search
-from companion.guidance.station_fit import Common, Moments
+from companion.guidance.station_fit import Common, Fit, Moments
 
 COORDINATE = st.floats(-12.0, 12.0)
 SMALL = st.floats(-0.3, 0.3)
@@ -60,10 +60,52 @@ def test_the_fit_finds_station_beacons_and_drift() -> None:
     search = station_search.plan(search)
     while not search.is_done:
         search = station_search.attempt(search, 0.15)
-    best, gap = station_search.result(search)
+    best, gap = station_search.result(search, 9.0)
     assert best.at.u[:2] == pytest.approx(station, abs=0.1)
     assert best.at.u[2:] == pytest.approx((wx, wy), abs=0.02)
     assert gap > station_search.UNLIKELY
+
+
+def test_late_in_a_drift_places_are_those_for_the_drift_that_is_known() -> None:
+    wx, wy = 0.05, 0.2
+    m = station_fit.NOTHING
+    # straight on at 0.5 m/s, after a minute in the drift
+    for k in range(400):
+        t = 60.0 + 0.05 * k
+        x = 0.5 * t
+        bx, by = 45.0, 25.0
+        r = math.hypot(bx - x - wx * t, by - wy * t)
+        m = station_fit.accumulate(m, 1.0, 1.0 / (r * 0.07) ** 2, x, 0.0, t, 0.5 * (r * r - x * x))
+
+    def missed_m(*drift: float) -> float:
+        places = station_search.modes(m, x, 0.0, r, 0.15, t, *drift)
+        found = [(places.bx, places.by), (places.other_bx, places.other_by)]
+        return min(math.dist(place, (45.0, 25.0)) for place in found)
+
+    assert missed_m(wx, wy) < 1.5
+    assert missed_m(0.0, 0.0) > 5.0
+
+
+def test_fits_are_told_apart_by_where_things_are_now() -> None:
+    def fit(cost: float, px: float, wx: float, bx: float) -> Fit:
+        at = station_fit.Solution(Common(px, 0.0, wx, 0.0), *(0.0,) * 10)
+        return Fit(cost, at, ((bx, 0.0),))
+
+    def gap(other: Fit) -> float:
+        search = station_search.NEW._replace(fits=(fit(1.0, 10.0, 0.0, 20.0), other))
+        return station_search.result(search, 50.0)[1]
+
+    assert gap(fit(3.0, 10.0, 0.0, 20.1)) == math.inf
+    assert gap(fit(3.0, 15.0, 0.1, 25.0)) == math.inf  # elsewhere at first, and carried to the same places
+    assert gap(fit(3.0, 10.0, 0.0, 22.0)) == 2.0
+    assert gap(fit(3.0, 10.0, 0.1, 20.0)) == 2.0
+
+
+def test_the_mean_velocity_is_that_of_the_path() -> None:
+    m = station_fit.NOTHING
+    for k in range(40):
+        m = station_fit.accumulate(m, 1.0, 2.0, 3.0 + 0.4 * k, 1.0 - 0.2 * k, 5.0 + k, 0.0)
+    assert station_fit.velocity([m, station_fit.NOTHING]) == pytest.approx((0.4, -0.2))
 
 
 def test_too_short_a_turn_leaves_the_mirror_image() -> None:
