@@ -132,7 +132,7 @@ def test_beacons_in_a_line_are_named_and_the_vehicle_is_handed_over() -> None:
     distances = [
         f"beacons.b{i}.station_distance_m={math.dist((x, 2.0), STATION)}" for i, x in enumerate(xs, 1)
     ]
-    flown = fly(config(f"sim.beacons=[{beacons}]", *distances), 20.0)
+    flown = fly(config(f"sim.beacons=[{beacons}]", *distances), 45.0)
     handed = next(c for c in flown.changes if c.after is Phase.HAND_OVER)
     assert "in one line" in handed.reason
     assert not flown.statuses[-1].captured
