@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.bench.station_plant import Air, Field, Stayed, bound_m, fly, random_field
+from companion.bench.station_plant import Air, Field, Moment, Stayed, bound_m, fly, random_field
 from companion.guidance import station_pose, station_steer
 from companion.guidance.scheme import STAY, TRACK, Scheme
 from companion.guidance.settings import GuidanceSettings
@@ -96,9 +96,24 @@ def test_too_few_heard_beacons_are_named_and_nothing_moves() -> None:
 
 def test_beacons_in_a_line_are_named_and_refused() -> None:
     field = Field((9.0, 6.0), ((5.0, 2.0), (9.0, 2.0), (14.0, 2.0)))
-    flight = fly(scheme_for(field), field, 9, Air(limit_s=60.0))
+    stepping: list[float] = []
+    steps: list[tuple[float, float]] = []
+    circle: list[tuple[float, float]] = []
+
+    def tell(s: Any, truth: Situation) -> Any:
+        stepping.append(s.steps_s)
+        return s
+
+    def watch(m: Moment) -> None:
+        if 0.0 < stepping[-1] < 20.0:
+            (steps if stepping[-1] < 8.0 else circle).append((m.x_m, m.y_m))
+
+    flight = fly(scheme_for(field), field, 9, Air(limit_s=60.0), tell=tell, watch=watch)
     assert flight.time_s == math.inf
     assert state_of(flight).problem == Problem.COLLINEAR
+    # all has been done to tell: small steps first, then the circle
+    assert 0.15 < max(math.dist(steps[0], at) for at in steps) < 0.5
+    assert max(math.dist(circle[0], at) for at in circle) > 0.8
 
 
 def test_beacons_almost_in_a_line_are_looked_at_from_around_the_station_and_not_refused() -> None:
@@ -112,15 +127,19 @@ def test_beacons_almost_in_a_line_are_looked_at_from_around_the_station_and_not_
 def test_what_the_way_here_has_left_open_is_decided_before_it_is_told_to_stay() -> None:
     field = Field((-23.9, 8.5), ((-27.5, 10.1), (-30.7, 10.5), (-25.0, 4.3)))
     modes: list[Mode] = []
+    drifting: list[bool] = []
 
     def tell(s: Any, truth: Situation) -> Any:
         modes.append(s.mode)
+        if s.mode == Mode.FOLLOW:
+            drifting.append(s.search.is_drifting)
         return s
 
     flight = fly(scheme_for(field), field, 14, SHORT._replace(hold_s=0.0), tell=tell)
     assert flight.time_s < math.inf
     assert modes[-1] == Mode.KEEP
     assert state_of(flight).steps_s > 0.0
+    assert set(drifting) == {False, True}  # looked for around no drift and around the one found
 
 
 def test_all_beacons_gone_at_the_station_stops_the_vehicle() -> None:
