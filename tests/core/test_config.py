@@ -64,7 +64,6 @@ def test_text_lists_and_tables_can_be_set() -> None:
         ("loss.stall_after_s=0.1", ["loss.coast_after_s = 0.5", "loss.stall_after_s = 0.1"]),
         ("guidance.capture_radius_m=0.06", ["capture_radius_m = 0.06", "b1.sigma_m = 0.07"]),
         ("beacons.b1.sigma_m=0.6", ["capture_radius_m = 0.5", "beacons.b1.sigma_m = 0.6"]),
-        ("beacons.b1.height_m=0", ["3 m above b1", "known to 0.74 m only", "height_sigma_m = 0.1"]),
         ("vehicle.velocity_lag_s=4.0", ["speed_m_s = 0.5", "coasts 2.08 m", "capture_radius_m = 0.5"]),
         ("guidance.stop_margin_m=0.6", ["stop_margin_m = 0.6", "capture_radius_m = 0.5"]),
         ("sim.beacons=[{id='a',x=3}]", ["sim.beacons.0.x", "unknown key", "x_m"]),
@@ -78,6 +77,14 @@ def test_a_bad_value_is_refused_with_its_name_and_what_is_allowed(override: str,
     text = str(refused.value)
     assert "\n" not in text
     assert all(word in text for word in words), text
+
+
+@pytest.mark.parametrize("observer", ["kalman", "luenberger"])
+def test_high_above_the_beacon_only_the_default_tells_the_disc(observer: str) -> None:
+    high = ("vehicle.height_m=5", "beacons.b1.height_m=0")
+    load(None, {}, high)
+    with pytest.raises(ConfigError, match=r"5 m above b1 .*known to 1\.22 m only"):
+        load(None, {}, (*high, f"guidance.observer={observer}"))
 
 
 STATION = (
