@@ -289,5 +289,7 @@ def knowledge(p: SeekParameters, s: Seeking) -> Knowledge:
     ux, uy = x / d, y / d
     along = ux * ux * q.xx + 2.0 * ux * uy * q.xy + uy * uy * q.yy
     across = uy * uy * q.xx - 2.0 * ux * uy * q.xy + ux * ux * q.yy
-    sigma_theta = math.sqrt(max(across, 0.0)) / max(d, 0.3)
+    # as long as the dead reckoning is trusted, the filter leaves out most of the drift that may be there
+    drift_m_s = p.loose.drift_m_s if s.noise.drift_m_s < p.loose.drift_m_s else 0.0
+    sigma_theta = math.hypot(math.sqrt(max(across, 0.0)) / max(d, 0.3), drift_m_s / p.v)
     return Knowledge(d, theta, math.sqrt(max(along, 0.0)), min(sigma_theta, math.pi))

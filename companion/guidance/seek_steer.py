@@ -138,6 +138,8 @@ def follow(p: SeekParameters, s: Seeking, dt_s: float, yaw_rate_rad_s: float) ->
             manner = Manner(was.turn, False, False, near_s)
             return with_manner(s, manner), Command(p.v, was.turn * p.omega_max, TRACK)
         omega = yaw_rate(p, was.turn, turning_radius, off, 0.0, yaw_rate_rad_s)
+        if p.paper_law:  # made for a vehicle that flies: it hardly turns one that stands
+            omega = -math.copysign(p.omega_max, off)
         manner = Manner(side(omega, was.turn), False, True, near_s)
         return with_manner(s, manner), Command(0.0, omega, TRACK)
     # the velocity follows the nose: aim from where it will have done so

@@ -94,7 +94,7 @@ class GuidanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             le=math.pi,
             description=(
                 "`drift`: a target further off the nose than this is turned to at speed 0, which saves the "
-                "arc; 3.14159 where a vehicle should not stop on its way."
+                "arc; with 3.14159 only one inside the turning circle, which flying on does not reach."
             ),
         ),
     ] = 2.0

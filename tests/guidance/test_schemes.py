@@ -187,3 +187,34 @@ def test_the_papers_observer_claims_no_sigma_and_takes_the_distance_as_measured(
     s = scheme.update(scheme.p, s, 0, 2.9, 0.07, 3.0, 0.0)
     assert scheme.knowledge(scheme.p, s).d_m == 0.0
     assert scheme.knowledge(scheme.p, s).sigma_d_m == pytest.approx(2.9 * 0.07 / NEAR_M)
+
+
+def _after_a_walk(target: tuple[float, float], **keys: Any) -> tuple[Command, Knowledge]:
+    """Half a circle to the right, and two seconds straight on."""
+    x = y = heading = 0.0
+    events: list[Any] = []
+    for step in range(103):
+        omega = -1.0 if step < 63 else 0.0
+        middle = heading + 0.025 * omega
+        x, y, heading = x + 0.025 * math.cos(middle), y + 0.025 * math.sin(middle), heading + 0.05 * omega
+        events += [
+            ("moved", 0.05, 0.5, 0.0, omega),
+            ("range", math.hypot(target[0] - x, target[1] - y), 0.07, 0.0, 0.0),
+        ]
+    return _run(capture(GuidanceSettings(observer="drift", **keys), 0.2), events)[-1]
+
+
+@pytest.mark.parametrize("controller", ["lq", "lq-paper"])
+def test_a_target_behind_is_turned_to_on_the_spot_without_dawdling(controller: Any) -> None:
+    command, known = _after_a_walk((9.0, -1.0), controller=controller)
+    assert abs(known.theta_rad) > 2.8
+    assert command.v_m_s == 0.0
+    assert abs(command.omega_rad_s) > 0.9
+
+
+def test_the_bearing_is_told_no_surer_than_a_drift_allows_that_is_left_out() -> None:
+    """The filter trusts the dead reckoning until the ranges contradict it; who reads the sigma must not."""
+    _, trusting = _after_a_walk((-9.0, 2.0), drift_m_s=0.1, trust=0.05)
+    _, doubting = _after_a_walk((-9.0, 2.0), drift_m_s=0.1, trust=1.0)
+    assert trusting.sigma_theta_rad > 0.1 / 0.5
+    assert doubting.sigma_theta_rad < trusting.sigma_theta_rad
