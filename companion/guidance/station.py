@@ -109,6 +109,8 @@ def _search(p: Parameters, s: Station) -> Station:
     if not s.search.is_done:
         return s
     best, gap = station_search.result(s.search, s.t)
+    if best.cost == math.inf:  # all of them have run away
+        return replace(s, search=station_search.NEW)
     s = replace(s, at=best.at)
     late = s.t > p.keeping.search_max_s
     known = known_by(s)
@@ -182,6 +184,8 @@ def _follow(p: Parameters, s: Station) -> Station:
     now = search.fits[search.planned]
     best, gap = station_search.result(search, s.t)
     taken = best if best.cost < now.cost - 1.0 else now
+    if taken.cost == math.inf:  # a beacon has come of which too little is known: all fits run away
+        return replace(s, search=station_search.NEW, t_refit=s.t + p.keeping.refit_s)
     if more == 1:
         return replace(s, search=station_search.also(search, station_search.image(taken)))
     image = search.fits[-1]
@@ -190,7 +194,11 @@ def _follow(p: Parameters, s: Station) -> Station:
     sigma_m = math.hypot(known.sigma_d_m, known.sigma_theta_rad * max(known.d_m, 0.3))
     of = station_fit.shape(taken.beacons)
     late = s.steps_s > LOOK_AROUND_S
-    if image.cost - taken.cost < AMBIGUOUS and of.across_m < IN_LINE * of.along_m:
+    if (
+        image.cost - taken.cost < AMBIGUOUS
+        and of.across_m < IN_LINE * of.along_m
+        and station_search.apart_m(image, taken, s.t) > station_search.APART_M
+    ):
         # on the way more is learnt of how they lie
         return replace(s, problem=Problem.COLLINEAR) if late else s
     if not late and (
@@ -221,16 +229,18 @@ def _mapped(p: Parameters, s: Station) -> Station:
 
 
 def _keep(p: Parameters, s: Station) -> Station:
-    """Once a second: place beacons that have come, and put the station where the ranges of the beacons heard
-    now will be the distances given, whatever the map's errors."""
+    """Once a second: place a beacon that has come where one is needed, and put the station where the ranges
+    of the beacons heard now will be the distances given, whatever the map's errors."""
     u = s.at.u
     if math.hypot(s.pose.wx, s.pose.wy) > 3.0 * p.keeping.drift_sigma_m_s:
         # there is no such drift: the map is wrong
         return anew(p, s.turn)
     places, distances, weights = [], [], []
+    # the place of one that comes now is the least certain: on the wrong side, it would lead astray
+    needed = sum(b.located and s.t - b.t < FRESH_S for b in s.beacons) < BEACONS_NEEDED
     heard = 0
     for i, b in enumerate(s.beacons):
-        if not b.located and b.moments.one > 0.0:
+        if needed and not b.located and b.moments.one > 0.0:
             found = station_search.on_circle(b.moments, u.px, u.py, p.distances[i])
             if found is not None:
                 b = replace(b, located=True, bx=found[0], by=found[1], rejected=0.0)

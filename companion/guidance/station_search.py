@@ -226,12 +226,12 @@ def result(search: Search, t: float) -> tuple[Fit, float]:
     fits = sorted(search.fits, key=_cost)
     best = fits[0]
     for other in fits[1:]:
-        if _apart_m(best, other, t) > APART_M:
+        if apart_m(best, other, t) > APART_M:
             return best, other.cost - best.cost
     return best, math.inf
 
 
-def _apart_m(a: Fit, b: Fit, t: float) -> float:
+def apart_m(a: Fit, b: Fit, t: float) -> float:
     """How far apart two fits have the station or a beacon, at the time t as seen from the vehicle."""
     driftx, drifty = (a.at.u.wx - b.at.u.wx) * t, (a.at.u.wy - b.at.u.wy) * t
     one, other = ((a.at.u.px, a.at.u.py), *a.beacons), ((b.at.u.px, b.at.u.py), *b.beacons)

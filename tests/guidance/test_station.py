@@ -70,6 +70,38 @@ def test_a_beacon_that_comes_late_is_placed() -> None:
     assert state_of(flight).beacons[1].located
 
 
+def test_a_beacon_that_comes_at_the_station_is_placed_once_it_is_needed() -> None:
+    """Placed from the way flown since, it may stand on the wrong side, and would lead the vehicle astray."""
+    flight = fly(scheme_for(SQUARE), SQUARE, 6, SHORT, heard=lambda i, t: i != 1 or t > 40.0)
+    assert flight.worst_m <= 0.3
+    assert not state_of(flight).beacons[1].located
+    air, later = SHORT._replace(hold_s=60.0), lambda i, t: t > 20.0 if i == 1 else i != 0 or t < 50.0
+    flight = fly(scheme_for(SQUARE), SQUARE, 6, air, heard=later)
+    assert flight.worst_m <= 0.3
+    assert state_of(flight).beacons[1].located
+
+
+def test_a_beacon_that_comes_while_its_place_is_open_ends_no_flight() -> None:
+    """Of a single one too little is known at first: no fit of all of them has an optimum."""
+    rng = random.Random("31/v 33")
+    field = random_field(rng, 4)
+    air = SHORT._replace(drift_azimuth_rad=rng.uniform(-math.pi, math.pi))
+    flight = fly(scheme_for(field), field, rng.getrandbits(32), air, heard=lambda i, t: i != 0 or t > 20)
+    assert flight.worst_m <= 0.3
+
+
+def test_a_beacon_far_away_makes_no_line_of_the_others() -> None:
+    rng = random.Random("31/v 10")
+    near, azimuth = random_field(rng, 3), rng.uniform(-math.pi, math.pi)
+    x, y = near.station
+    far = (x + 40.0 * math.cos(azimuth), y + 40.0 * math.sin(azimuth))
+    field = near._replace(beacons=(*near.beacons[:2], far))
+    rng.uniform(-math.pi, math.pi)
+    flight = fly(scheme_for(field), field, rng.getrandbits(32), SHORT)
+    assert state_of(flight).problem == Problem.NONE
+    assert flight.worst_m <= 0.3
+
+
 def test_many_beacons() -> None:
     field = random_field(random.Random(7), 12)
     assert fly(scheme_for(field), field, 7, SHORT._replace(drift_m_s=0.1)).worst_m <= 0.3
