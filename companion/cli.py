@@ -7,7 +7,6 @@ desk's tools.
 from __future__ import annotations
 
 import argparse
-import errno
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -35,15 +34,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output (head, less) has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.OK
-    except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        print(
-            f"companion: {error.filename or 'its output'} could not be written: {error.strerror}",
-            file=sys.stderr,
-        )
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return Exit.USAGE
 
 
 # ---------------------------------------------------------------------------------------------- parser

@@ -205,6 +205,7 @@ def test_output_that_is_lost_is_told(unbuffered: str) -> None:
             command, cwd=ROOT, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     assert ended.stderr == "companion: its output could not be written: No space left on device\n"
+    assert ended.returncode == Exit.USAGE
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("fly", "--help"), ("sim", "--help"), ("--version",)])
