@@ -174,8 +174,9 @@ def _capture_contradictions(c: Settings) -> Iterable[str]:
     beacon, radius_m = c.beacons[target], g.capture_radius_m
     # A height that the beacon tells itself is not known yet: then the range alone is held against the radius;
     # for "drift" too, which tells near from far by how the ranges change on the way.
-    height_m = v.height_m if beacon.height_m is None or g.observer == "drift" else beacon.height_m
-    above_m = abs(v.height_m - height_m)
+    above_m = 0.0
+    if beacon.height_m is not None and g.observer != "drift":
+        above_m = abs(v.height_m - beacon.height_m)
     slant_m = math.hypot(radius_m, above_m)
     told_m = math.hypot(slant_m * beacon.sigma_m, above_m * v.height_sigma_m) / radius_m
     if told_m > radius_m:

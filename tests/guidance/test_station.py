@@ -83,7 +83,7 @@ def test_a_beacon_that_comes_at_the_station_is_placed_once_it_is_needed() -> Non
 
 def test_a_beacon_that_comes_while_its_place_is_open_ends_no_flight() -> None:
     """Of a single one too little is known at first: no fit of all of them has an optimum."""
-    rng = random.Random("31/v 33")
+    rng = random.Random("31/v 33")  # the layout and the noise that showed it
     field = random_field(rng, 4)
     air = SHORT._replace(drift_azimuth_rad=rng.uniform(-math.pi, math.pi))
     flight = fly(scheme_for(field), field, rng.getrandbits(32), air, heard=lambda i, t: i != 0 or t > 20)
@@ -91,7 +91,7 @@ def test_a_beacon_that_comes_while_its_place_is_open_ends_no_flight() -> None:
 
 
 def test_a_beacon_far_away_makes_no_line_of_the_others() -> None:
-    rng = random.Random("31/v 10")
+    rng = random.Random("31/v 10")  # the layout and the noise that showed it
     near, azimuth = random_field(rng, 3), rng.uniform(-math.pi, math.pi)
     x, y = near.station
     far = (x + 40.0 * math.cos(azimuth), y + 40.0 * math.sin(azimuth))
