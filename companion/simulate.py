@@ -149,11 +149,16 @@ def fly_many(
     if runs < 8:
         return list(_counted((fly_one(config, s) for s in seeds), progress))
     workers = os.cpu_count() or 1
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # its workers must not outlive it
+    early: list[int] = []  # an interrupt while the workers are started would leave a pool that never ends
+    before = signal.signal(signal.SIGTERM, lambda number, _: early.append(number))
     try:
         with ProcessPoolExecutor(workers, get_context("forkserver"), _Worker, (config,)) as pool:
+            flights = pool.map(_fly_in_worker, seeds, chunksize=_CHUNK)
             try:
-                return list(_counted(pool.map(_fly_in_worker, seeds, chunksize=_CHUNK), progress))
+                signal.signal(signal.SIGTERM, signal.default_int_handler)  # its workers must not outlive it
+                if early:
+                    raise KeyboardInterrupt
+                return list(_counted(flights, progress))
             except KeyboardInterrupt:
                 pool.shutdown(cancel_futures=True)
                 raise
