@@ -14,7 +14,7 @@ class Fault(Enum):
     RANGE_LOSS = "range-loss"
     """No beacon is heard."""
     RANGE_FROZEN = "range-frozen"
-    """Every beacon repeats its last message, sequence number and all."""
+    """Every beacon repeats its last message, sequence number, stamp and all."""
     RANGE_BIAS = "range-bias"
     """Every range is 1.5 m too long: the line of sight is blocked."""
     BEACON_RESTART = "beacon-restart"

@@ -14,7 +14,7 @@ NLOS_BIAS_M = 1.5
 
 
 class Range(NamedTuple):
-    """One measured slant range. `los` is "los", "nlos" or "unknown"."""
+    """One measured slant range. `los` is "los", "nlos" or "unknown"; `t_ns`: when, by the beacon's clock."""
 
     beacon: str
     session: str
@@ -22,6 +22,7 @@ class Range(NamedTuple):
     range_m: float
     sigma_m: float | None
     los: str
+    t_ns: int = 0
 
 
 class Beacon:
@@ -40,7 +41,7 @@ class Beacon:
         self._restarted = False
         self._start()
 
-    def measure(self, x_m: float, y_m: float, height_m: float) -> Range | None:
+    def measure(self, x_m: float, y_m: float, height_m: float, t_ns: int = 0) -> Range | None:
         """Measure from here; None where the measurement is lost. The sequence number counts lost ones too."""
         s, random = self._scenario, self._random
         restart = self._faults.active(Fault.BEACON_RESTART)
@@ -72,6 +73,7 @@ class Beacon:
             max(range_m, 0.0),
             s.range_sigma_m if s.range_sigma_m else None,
             los,
+            t_ns,
         )
         return self._last
 

@@ -220,10 +220,10 @@ class Wire:
         v = self.vehicle
         for beacon, clock in self._beacons:
             for _ in range(clock.due(self._steps)):
-                r = beacon.measure(v.x_m, v.y_m, v.height_m)
+                r = beacon.measure(v.x_m, v.y_m, v.height_m, time.time_ns())
                 if r is not None:
                     los = LineOfSight(r.los)
-                    message = RangeMessage(r.session, r.seq, r.range_m, r.sigma_m, los, t_ns=time.time_ns())
+                    message = RangeMessage(r.session, r.seq, r.range_m, r.sigma_m, los, t_ns=r.t_ns)
                     self._ranges.put(r.beacon, message)
         if self._truth is not None and self._truth_clock.due(self._steps):
             self._log_truth(self._truth)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from msgspec.structs import replace
 from companion.settings import LossSettings
 from companion.types import (
     Attitude,
+    Event,
     FlightMode,
     ModeReport,
     ModeRequest,
@@ -67,6 +69,21 @@ def test_killed_and_started_anew_in_the_air_the_real_process_stays_silent() -> N
     outcome = wire.fly(wire.WIRE["wire/restart"])
     assert outcome.held, (outcome.judgement.broken, outcome.law_broken, outcome.not_struck)
     assert [step.phase for step in outcome.steps] == [Phase.INHIBITED]
+
+
+def test_a_message_that_is_repeated_is_the_same_to_its_stamp() -> None:
+    flight = Flight(FAULTS["range-frozen"], Phase.COAST, 1)
+    told, stamps = flight.watch.told, Counter[tuple[int, int | None]]()
+
+    def noted(event: Event) -> None:
+        if isinstance(event, RangeSample):
+            stamps[event.seq, event.sent_t_ns] += 1
+        told(event)
+
+    flight.watch.told = noted  # type: ignore[method-assign]
+    assert flight.fly().held
+    assert len(stamps) == len({seq for seq, _ in stamps})
+    assert max(stamps.values()) > 50
 
 
 def test_the_matrix_is_as_large_as_it_says() -> None:

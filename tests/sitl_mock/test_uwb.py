@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from math import sqrt
 from statistics import fmean, pstdev
 
@@ -66,8 +67,10 @@ def test_faults() -> None:
     faults = Faults()
     beacon = Beacon(BeaconAt(x_m=0.0, y_m=0.0), CLEAN, 1, faults)
 
+    clock = itertools.count()
+
     def one() -> Range | None:
-        return beacon.measure(3.0, 4.0, 0.0)
+        return beacon.measure(3.0, 4.0, 0.0, next(clock))
 
     first = one()
     assert first is not None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from companion.types import Phase
-from tests.safety.faults.flight import SETTINGS
+from tests.safety.faults.flight import HIDDEN_S, SETTINGS
 from tests.safety.faults.rules import (
     ACQUIRE,
     AWAIT,
@@ -110,6 +110,15 @@ def after(for_s: float, rule: Rule) -> Rule:
     )
 
 
+_ONE_HEARD_S = HIDDEN_S + 0.2
+"""By then the first of the ranges that are not hidden any more has come, and some may be lost before it."""
+STALLS_AFTER_ONE = Rule(
+    "stands still in time after the first repeat, new to it",
+    reach=((STALL, _ONE_HEARD_S + _LOSS.stall_after_s),),
+    still=(_ONE_HEARD_S + _LOSS.stall_after_s, 8.0),
+    ends_in=_ENGAGED,
+    never=frozenset({HAND_OVER, RELEASED, ENDED}),
+)
 HEADING_LOST = Rule(
     "stands still",
     reach=((STALL, _LOSS.telemetry_after_s + _TICK_S),),

@@ -37,8 +37,11 @@ from tests.safety.faults.watch import Limits, Watch
 
 Act = Callable[["Flight"], None]
 _BEACON_HEIGHT_M = 1.5
-_UNIX_NS = 1_700_000_000_000_000_000
+UNIX_NS = 1_700_000_000_000_000_000
+"""What the publisher's clock, which stamps the ranges, is ahead of the app's."""
 _PREPARED_WITHIN_S = 60.0
+HIDDEN_S = 1.5
+"""So long after the strike are the ranges still hidden that were to be missed for COAST or STALL."""
 
 SETTINGS = Settings(
     beacons={"b1": BeaconSettings(height_m=_BEACON_HEIGHT_M)},
@@ -184,7 +187,7 @@ def _refuse_for_a_while(flight: Flight) -> None:
 
 def _lose_ranges(flight: Flight) -> None:
     flight.filters[_lose_ranges] = lose(RANGES, 1.0)(flight.random)
-    flight.after_strike.append((1.5, _find_ranges))
+    flight.after_strike.append((HIDDEN_S, _find_ranges))
 
 
 def _find_ranges(flight: Flight) -> None:
@@ -247,6 +250,8 @@ class Flight:
         self.after_strike: list[tuple[float, Act]] = list(fault.acts)
         self.wall_step_ns = 0
         """How far the publisher's clock has been set."""
+        self._stamps: dict[tuple[str, str, int], int] = {}
+        """Of every range by beacon, session and number."""
         self.watch = Watch(self.settings, self.world)
         self.phase = Phase.AWAIT
         self._phase_since_s = 0.0
@@ -307,10 +312,12 @@ class Flight:
                 yield StopRequest(t_ns=event.t_ns)
 
     def _stamped(self, event: Event) -> Event:
-        """A range carries the publisher's clock, as over the wire."""
+        """A range carries the publisher's clock as it was measured, as over the wire; so do its repeats."""
         if not isinstance(event, RangeSample):
             return event
-        return replace(event, sent_t_ns=event.t_ns + _UNIX_NS + self.wall_step_ns)
+        now_ns = event.t_ns + UNIX_NS + self.wall_step_ns
+        stamp_ns = self._stamps.setdefault((event.beacon, event.session, event.seq), now_ns)
+        return replace(event, sent_t_ns=stamp_ns)
 
     def _send(self, output: Output) -> None:
         self.watch.sent(output, self.phase)

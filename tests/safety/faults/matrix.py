@@ -26,13 +26,14 @@ from tests.safety.faults.filters import (
     swap,
 )
 from tests.safety.faults.flight import ARDUPILOT, Fault, kill, select, start, stop
-from tests.safety.faults.rules import ACQUIRE, APPROACH, AWAIT, GROUPS, HOLD, STALL, STANDBY, Rule
+from tests.safety.faults.rules import ACQUIRE, APPROACH, AWAIT, COAST, GROUPS, HOLD, STALL, STANDBY, Rule
 from tests.safety.faults.strikes import filtered, switched
 
 _MOTION = (Attitude, LocalMotion)
 _TAKEN = rules(engaged=must.TAKEN_THEN_READY, hand_over=must.ENDS, silent=must.STANDS)
 _BOUNDED = rules(engaged=must.BOUNDED)
 _HELD_UP = rules(engaged=must.HELD_UP, hand_over=must.HELD_UP)
+_RESTAMPED = {**ranges_lost(8.0), COAST: must.STALLS_AFTER_ONE}
 _GONE = rules(engaged=must.VEHICLE_LOST, standby=must.STANDBY_VEHICLE_LOST)
 
 
@@ -55,6 +56,9 @@ _ALL = (
         switched(MockFault.RANGE_LOSS), ranges_lost(20.0), 20.0),
     Fault("range-frozen", "range", "the last message is repeated for 8 s",
         switched(MockFault.RANGE_FROZEN, 8.0), ranges_lost(8.0), 12.0),
+    Fault("range-restamped", "range", "the last message is repeated for 8 s, each time with a new stamp",
+        (*switched(MockFault.RANGE_FROZEN, 8.0), *filtered(change(RANGES, do.stamped_anew), 8.0)),
+        _RESTAMPED, 12.0),
     Fault("range-bias", "range", "every range is 1.5 m too long for 5 s",
         switched(MockFault.RANGE_BIAS, 5.0), rules()),
     Fault("beacon-restart", "range", "the beacon begins a new session",

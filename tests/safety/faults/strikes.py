@@ -11,7 +11,7 @@ from companion.types import Attitude, Event, LocalMotion, RangeSample
 from sitl_mock.faults import Fault as MockFault
 from tests.safety.faults import filters as via
 from tests.safety.faults.filters import RANGES, Maker, UplinkMaker
-from tests.safety.faults.flight import Act, Flight, off, on
+from tests.safety.faults.flight import UNIX_NS, Act, Flight, off, on
 
 Acts = tuple[tuple[float, Act], ...]
 """Seconds after the strike, and what happens then."""
@@ -79,6 +79,11 @@ def absurd(event: Event, random: Random) -> Event:
 def seq_stuck(event: Event, _: Random) -> Event:
     """Sequence numbers 0, 1, 2, 0, …"""
     return replace(event, seq=event.seq % 3) if isinstance(event, RangeSample) else event
+
+
+def stamped_anew(event: Event, _: Random) -> Event:
+    """Every range carries the time at which it is sent, not that of its measurement."""
+    return replace(event, sent_t_ns=event.t_ns + UNIX_NS) if isinstance(event, RangeSample) else event
 
 
 def turned(event: Event, _: Random) -> Event:
