@@ -21,9 +21,8 @@ from companion.link.systemd import Notifier
 from companion.link.zenoh_ranges import RangeLink
 from companion.link.zenoh_session import words
 from companion.link.zenoh_status import StatusLink
-from companion.live import Bell, live
+from companion.live import Bell, Loop
 from companion.record import Recorder
-from companion.run import run
 from companion.settings import Settings
 from companion.state import State
 from companion.summary import FlightLog, FlightReport, problem_of, report, text
@@ -54,8 +53,7 @@ def fly(
             status = StatusLink(settings, lambda: ranges.session, view.tell)
             stack.callback(status.close)
 
-            def send(output: Output) -> None:
-                vehicle.send(output)
+            def tell(output: Output) -> None:
                 systemd.send(output)
                 status.send(output)
                 if isinstance(output, Status):
@@ -71,7 +69,7 @@ def fly(
             if recorder.problem is not None:
                 view.tell(f"not recorded: {recorder.problem}")
             gc.freeze()  # what is there now stays: the collector need not look at it again
-            final = run(live(vehicle, ranges, bell), settings, send, recorder.write)
+            final = Loop(settings, vehicle, ranges, bell, tell, recorder.write).fly()
     except (LinkError, OSError, SigningError, zenoh.ZError) as error:
         print(f"companion: link: {error}", file=sys.stderr)
         return Exit.LINK

@@ -1,16 +1,26 @@
-"""Live events: the ranges, the vehicle and the clock, in the order in which they come, on one thread."""
+"""The loop of a real flight: the ranges, the vehicle and the clock, in the order in which they come.
+
+Whoever holds the loop's lock runs the turn. That is the main thread, but while it sleeps. A range that comes
+then is taken in Zenoh's own thread, there and then: to wake the main thread for it took longer than the step
+(0.2 ms, and 0.5 ms one time in ten, beside an interpreter that two threads want at once).
+"""
 
 from __future__ import annotations
 
 import math
 import os
 import select
+import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
-from companion.types import Event, StopRequest, Tick
+from companion.run import Flying
+from companion.settings import Settings
+from companion.state import State
+from companion.types import Event, ModeRequest, Output, RangeVerdict, Setpoint, StopRequest, Tick
 
 TICK_NS = 25_000_000
 """The longest time without a tick: resolution of timeouts and of the stream's minimum rate."""
@@ -18,6 +28,12 @@ _TICK_EARLY_NS = 10_000_000
 """When the loop is awake anyway, it ticks after this: to be woken for a tick costs more than the tick."""
 _PAUSE_NS = 250_000_000
 """A loop that stood still for longer is told so first; less than any `loss.held_up_after_s`."""
+_HUNG_NS = 125_000_000
+"""A main thread whose last turn began longer ago (five ticks) hangs or was held up: ranges are left to it. It
+alone hears the telemetry, and with it the pilot who takes over. Less than `_PAUSE_NS`, so that after a pause
+the tick comes first whichever thread runs first."""
+_NOT_TOLD = (Setpoint, ModeRequest, RangeVerdict)
+"""For the vehicle and the record alone."""
 
 
 class Bell:
@@ -59,35 +75,118 @@ class Bell:
         self._reader = self._writer = -1  # a late ring fails, instead of going to who has the number next
 
 
-def live(vehicle: VehicleLink, ranges: RangeLink, bell: Bell) -> Iterator[Event]:
-    """Every event of a real flight, for as long as it is asked for.
+class Loop:
+    """A real flight, from its first event to its last.
 
-    A range or a telemetry message is yielded as soon as it arrives; a tick at least every `TICK_NS`. Whoever
-    iterates more slowly gets fewer ticks, never a backlog of them. After a pause the tick comes first: ranges
-    that waited bear the times at which they came, as if there had been none.
+    The main thread holds the lock but while it sleeps. So nobody else steers before its first turn, while it
+    works or hangs, or once it has left the loop, in whatever way: it keeps the lock then.
     """
-    waiting = select.poll()  # not `selectors`: its wrapping costs more than the system call
-    telemetry, rung = vehicle.fileno(), bell.fileno()
-    waiting.register(telemetry, select.POLLIN)
-    waiting.register(rung, select.POLLIN)
-    next_tick_ns, last_turn_ns = 0, time.monotonic_ns()
-    stopped = False
-    while True:
-        wait_ms = math.ceil((next_tick_ns - time.monotonic_ns()) * 1e-6)
-        ready = [descriptor for descriptor, _ in waiting.poll(max(0, wait_ms))]
-        now_ns = time.monotonic_ns()
-        if now_ns - last_turn_ns > _PAUSE_NS:
-            yield Tick(t_ns=now_ns)  # critical: the pilot must see that it was held up before it steers again
-        last_turn_ns = now_ns
-        if rung in ready:
-            bell.silence()
-            yield from ranges.receive()
-        if telemetry in ready:
-            yield from vehicle.receive()
-        now_ns = time.monotonic_ns()
-        if bell.stop_asked and not stopped:
-            stopped = True
-            yield StopRequest(t_ns=now_ns)
-        if now_ns >= next_tick_ns - (TICK_NS - _TICK_EARLY_NS):
-            next_tick_ns = now_ns + TICK_NS
-            yield Tick(t_ns=now_ns)
+
+    def __init__(
+        self,
+        settings: Settings,
+        vehicle: VehicleLink,
+        ranges: RangeLink,
+        bell: Bell,
+        tell: Callable[[Output], None],
+        record: Callable[[Event | Output], None],
+    ) -> None:
+        """`record` takes everything in either thread, one at a time, and must not wait. `tell` takes what is
+        not for the vehicle and the record alone, after the vehicle, in the main thread."""
+        self._vehicle, self._ranges, self._bell, self._tell = vehicle, ranges, bell, tell
+        self._flying = Flying(settings, self._send, record)
+        self._lock = threading.Lock()
+        self._lock.acquire()
+        self._is_asleep = False
+        self._untold: deque[Output] = deque()
+        self._bug: Exception | None = None
+        self._t_turn_ns = 0
+        ranges.wake = self._wake
+
+    def fly(self) -> State:
+        """Fly until the flight is over. Raises what a step or a link raises, in whichever thread."""
+        return self._flying.run(self._events())
+
+    def _events(self) -> Iterator[Event]:
+        """What the main thread takes.
+
+        A range or a telemetry message is yielded as soon as it arrives; a tick at least every `TICK_NS`.
+        Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause the tick comes
+        first: ranges that waited bear the times at which they came, as if there had been none.
+        """
+        waiting = select.poll()  # not `selectors`: its wrapping costs more than the system call
+        telemetry, rung = self._vehicle.fileno(), self._bell.fileno()
+        waiting.register(telemetry, select.POLLIN)
+        waiting.register(rung, select.POLLIN)
+        next_tick_ns, self._t_turn_ns = 0, time.monotonic_ns()
+        stopped = False
+        while True:
+            wait_ms = math.ceil((next_tick_ns - time.monotonic_ns()) * 1e-6)
+            ready = self._sleep(waiting, max(0, wait_ms))
+            while self._untold:
+                self._tell(self._untold.popleft())
+            if self._bug is not None:
+                raise self._bug
+            now_ns = time.monotonic_ns()
+            if now_ns - self._t_turn_ns > _PAUSE_NS:
+                yield Tick(t_ns=now_ns)  # critical: the pilot must see that it was held up before it steers
+            self._t_turn_ns = now_ns
+            if rung in ready:
+                self._bell.silence()
+                yield from self._ranges.receive()
+            if telemetry in ready:
+                yield from self._vehicle.receive()
+            now_ns = time.monotonic_ns()
+            if self._bell.stop_asked and not stopped:
+                stopped = True
+                yield StopRequest(t_ns=now_ns)
+            if now_ns >= next_tick_ns - (TICK_NS - _TICK_EARLY_NS):
+                next_tick_ns = now_ns + TICK_NS
+                yield Tick(t_ns=now_ns)
+
+    def _sleep(self, waiting: select.poll, wait_ms: int) -> list[int]:
+        """The descriptors that are ready. The only time in which another thread may have the lock."""
+        self._is_asleep = True
+        self._lock.release()
+        try:
+            return [descriptor for descriptor, _ in waiting.poll(wait_ms)]
+        finally:
+            self._lock.acquire()
+            self._is_asleep = False
+
+    def _wake(self) -> None:
+        """In Zenoh's thread, when something has come: take it now, or leave it to the main thread.
+
+        Nothing is missed: whoever holds the lock may have looked for ranges already, but the bell rings on,
+        and the main thread looks once more.
+        """
+        if not self._lock.acquire(blocking=False):
+            self._bell.ring()
+            return
+        is_done = False
+        try:
+            is_done = self._take_ranges()
+        except Exception as error:  # a bug must not die unnoticed in this thread: the main thread raises it
+            self._bug = error
+        finally:
+            self._lock.release()
+        if not is_done:
+            self._bell.ring()
+
+    def _take_ranges(self) -> bool:
+        """In Zenoh's thread, with the lock; False: there is something for the main thread to do."""
+        if self._bug is not None or time.monotonic_ns() - self._t_turn_ns > _HUNG_NS:
+            return False  # critical: nobody steers past a bug, nor past telemetry that is not heard
+        for event in self._ranges.receive():
+            self._flying.take(event)
+        return not self._untold
+
+    def _send(self, output: Output) -> None:
+        """To the vehicle at once, in either thread: no transport waits. To everybody else when awake."""
+        self._vehicle.send(output)
+        if isinstance(output, _NOT_TOLD):
+            return
+        if self._is_asleep:
+            self._untold.append(output)
+        else:
+            self._tell(output)

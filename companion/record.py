@@ -242,7 +242,7 @@ _Numbered = tuple[int, int, Event | Output]
 
 
 class Recorder:
-    """Records a flight while it is flown. `write` is for one thread, the flying loop's; it never waits."""
+    """Records a flight while it is flown. `write` is for one thread at a time; it never waits."""
 
     def __init__(self, disk: Disk | None, start: Start, name: str, trouble: str | None = None) -> None:
         """`disk` None: nothing is recorded, for the reason given as `trouble`. See also `open`."""

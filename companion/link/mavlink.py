@@ -48,7 +48,7 @@ _TURN_NS = 20_000_000
 
 
 class VehicleLink:
-    """One autopilot behind one transport. Single-threaded: only the loop calls it."""
+    """One autopilot behind one transport. Only who holds the loop's lock calls it."""
 
     def __init__(
         self,

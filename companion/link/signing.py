@@ -233,7 +233,7 @@ class _Signing(mavlink.MAVLinkSigning):  # type: ignore[misc]
 class SignedMavlink(mavlink.MAVLink):  # type: ignore[misc]
     """A MAVLink encoder and parser that signs all it packs and verifies all it parses.
 
-    What is refused arrives as BAD_DATA, its `reason` one of `REFUSALS`. Single-threaded, as its base.
+    What is refused arrives as BAD_DATA, its `reason` one of `REFUSALS`. One thread at a time, as its base.
     """
 
     def __init__(

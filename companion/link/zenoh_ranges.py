@@ -1,4 +1,4 @@
-"""Ranges over Zenoh, as events. The callbacks only note what came and when; everything else is the loop's.
+"""Ranges over Zenoh, as events. The callbacks note what came and when, and wake whoever takes it.
 
 Each beacon (or wildcard, or ROS 2 topic) has a door of its own: a short backlog of which the newest are kept,
 and a rate beyond which they are dropped before anybody reads them. Of a single beacon Zenoh itself lets five
@@ -107,8 +107,9 @@ class Door:
 class RangeLink:
     """Subscriptions to the ranges of some beacons, or of a whole site, and to ROS 2 topics.
 
-    `wake` is called from Zenoh's thread when something came. One subscription for each beacon that is flown
-    with: a router then sends no other, however many there are at the site.
+    `wake` is called from Zenoh's threads when something came, and may receive it there and then; `receive` is
+    for one thread at a time. One subscription for each beacon that is flown with: a router then sends no
+    other, however many there are at the site.
     """
 
     def __init__(
@@ -120,7 +121,7 @@ class RangeLink:
         of a key; CredentialsError where `ranges.tls` lets nobody in.
         """
         self._settings = settings
-        self._wake = wake
+        self.wake = wake
         self._doors: list[Door] = []
         self._told: deque[Raw] = deque(maxlen=_ANSWERS)
         self._asked: dict[str, float] = {}
@@ -174,9 +175,9 @@ class RangeLink:
                         return
 
     def _note(self, door: Door, sample: zenoh.Sample) -> None:
-        """In Zenoh's thread: no parsing, no logging, no waiting."""
+        """In Zenoh's thread: no logging, no waiting."""
         door.note(_raw(sample))
-        self._wake()
+        self.wake()
 
     def _ask(self, session: zenoh.Session, token: zenoh.Sample) -> None:
         """A beacon has appeared. One that comes and goes all the time is asked now and then."""
@@ -196,7 +197,7 @@ class RangeLink:
             raw = _raw(reply.ok)
             self._answered |= {raw.key.split("/")[-2]} & set(self._beacons)
             self._told.append(raw)
-            self._wake()
+            self.wake()
 
     def receive(self, clock: Callable[[], int] = time.monotonic_ns) -> Iterator[Event]:
         """Everything that has come since, as events, in order."""

@@ -11,8 +11,7 @@ from pathlib import Path
 from companion import config
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
-from companion.live import Bell, live
-from companion.run import run
+from companion.live import Bell, Loop
 
 
 def main(path: Path) -> None:
@@ -22,7 +21,7 @@ def main(path: Path) -> None:
     vehicle = VehicleLink.open(settings.vehicle)
     ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
 
-    run(live(vehicle, ranges, bell), settings, vehicle.send, lambda _: None)
+    Loop(settings, vehicle, ranges, bell, lambda _: None, lambda _: None).fly()
 
 
 if __name__ == "__main__":
