@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 
 # The tests of pages need a browser; without it they are skipped, where COMPANION_REQUIRE_CHROMIUM=1 they fail.
-.PHONY: demo test faults mutants bench-short lint clean chromium
+.PHONY: demo test faults mutants bench-short lint compiled clean chromium
 
 demo: .venv/installed
 	$(BIN)/companion demo --config config/demo.toml
@@ -31,6 +31,10 @@ lint: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# The core anew, after its source was changed: until then what was changed runs as plain Python.
+compiled: .venv/installed
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
+
 chromium:
 	@command -v chromium >/dev/null || { \
 		echo "installing Debian's chromium, for the tests of pages ..."; \
@@ -38,8 +42,8 @@ chromium:
 			apt-get install -y -qq --no-install-recommends chromium >/dev/null; } || \
 	echo "chromium is missing and could not be installed: as root, apt-get install chromium" >&2
 
-.venv/installed: pyproject.toml
-	@echo "installing into .venv (about a minute, once) ..."
+.venv/installed: pyproject.toml setup.py
+	@echo "installing into .venv (two minutes, once; it compiles the core) ..."
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@

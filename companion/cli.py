@@ -424,7 +424,9 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib import metadata
 
-        print(f"companion {metadata.version('companion')}")
+        from companion.compiled import why_not
+
+        print(f"companion {metadata.version('companion')}, core {why_not() or 'compiled'}")
         parser.exit()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from companion import pilot
+from companion.compiled import twin
 from companion.settings import Settings
 from companion.state import State
 from companion.types import Event, Output
@@ -29,8 +30,9 @@ class Flying:
         send: Callable[[Output], None],
         record: Callable[[Event | Output], None],
     ) -> None:
-        self._plan = pilot.plan(settings)
-        self._state = pilot.initial(self._plan)
+        self._step = twin(pilot.step)
+        self._plan = twin(pilot.plan)(settings)
+        self._state = twin(pilot.initial)(self._plan)
         self._send, self._record = send, record
         self._is_over = False
 
@@ -47,7 +49,7 @@ class Flying:
         if self._is_over:
             return
         self._record(event)  # critical: before it is used, so that the record holds the exact inputs
-        self._state, outputs = pilot.step(self._plan, self._state, event)
+        self._state, outputs = self._step(self._plan, self._state, event)
         for output in outputs:
             self._record(output)
             self._send(output)  # critical: nothing else ever sends; when nothing is taken, there is silence

@@ -10,6 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
+from companion.compiled import twin
 from companion.config import Config
 from companion.goal import true_goal
 from companion.guidance.model import shortest_path_m, wrap
@@ -91,7 +92,7 @@ class _Watch:
 def fly_one(config: Config, seed: int) -> FlightResult:
     """One simulated flight. Raises ConfigError where its goal is not in the simulated world."""
     goal = true_goal(config)
-    world = World(config.sim, seed, autopilot=config.vehicle.kind)
+    world = twin(World)(config.sim, seed, autopilot=config.vehicle.kind)
     watch = _Watch(world)
     final = run(watch.events(), config, watch.send, _ignore)
     flown = [sample for sample in world.truth if sample.t_s >= (watch.engaged_s or 0.0)] or world.truth[-1:]

@@ -281,7 +281,7 @@ def test_a_bug_in_zenohs_thread_ends_the_flight_at_once(
         scene.setpoints()
         scene.rung()
         with monkeypatch.context() as patch:
-            patch.setattr(pilot, "step", bug)
+            patch.setattr(scene.loop._flying, "_step", bug)
             scene.t_ms += 30
             scene.range()
         taken = len(scene.taken)
@@ -302,8 +302,6 @@ def test_a_bug_in_zenohs_thread_ends_the_flight_at_once(
 def test_before_the_first_turn_and_after_a_bug_in_the_last_one_nobody_steers(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    step = pilot.step
-
     def bug(*_: object) -> None:
         raise ZeroDivisionError
 
@@ -311,7 +309,7 @@ def test_before_the_first_turn_and_after_a_bug_in_the_last_one_nobody_steers(
         assert scene.setpoints() == 0
         yield scene.engaged()
         scene.t_ms += 30
-        monkeypatch.setattr(pilot, "step", bug)
+        patch.setattr(scene.loop._flying, "_step", bug)
         yield []
 
     scene.range()
@@ -319,9 +317,8 @@ def test_before_the_first_turn_and_after_a_bug_in_the_last_one_nobody_steers(
     assert scene.rung()
     scene.ranges.came.clear()
     scene._sleeps = sleeps()
-    with pytest.raises(ZeroDivisionError):
+    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
         scene.loop.fly()
-    monkeypatch.setattr(pilot, "step", step)
     scene.setpoints()
     scene.t_ms += 30
     scene.range()

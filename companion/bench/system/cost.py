@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from importlib import metadata
+from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +17,7 @@ import msgspec
 
 from companion import pilot
 from companion.bench.system.figures import quantile
+from companion.compiled import PACKAGE, twin, why_not
 from companion.config import Config
 from companion.network_settings import BeaconSettings
 from companion.run import run
@@ -63,7 +64,7 @@ def configuration(beacons: int, limit_s: float) -> Config:
 def events(config: Config, seed: int = 1) -> list[Event]:
     """What the pilot gets to see in a simulated flight."""
     seen: list[Event] = []
-    world = World(config.sim, seed)
+    world = twin(World)(config.sim, seed)
 
     def noted() -> Iterator[Event]:
         for event in world.events():
@@ -82,16 +83,16 @@ def step_cost(beacons: int, seconds: float, repeats: int) -> StepCost:
     """
     config = configuration(beacons, seconds)
     seen = events(config)
-    plan = pilot.plan(config)
+    step, plan = twin(pilot.step), twin(pilot.plan)(config)
     best: dict[int, int] = {}
     every: list[int] = []
     clock, cpu_clock = time.perf_counter_ns, time.thread_time_ns
     for _ in range(repeats):
-        state = pilot.initial(plan)
+        state = twin(pilot.initial)(plan)
         for number, event in enumerate(seen):
             cpu_began = cpu_clock()
             began = clock()
-            state, outputs = pilot.step(plan, state, event)
+            state, outputs = step(plan, state, event)
             took = clock() - began
             cpu_took = cpu_clock() - cpu_began
             if type(event) is RangeSample and len(outputs) > 1:
@@ -108,7 +109,7 @@ def simulated_per_s(seconds: float) -> float:
     config = Config(sim=Scenario(random_start=True, limit_s=_FLIGHT_S))
     while used_s < seconds or math.inf in best:
         for seed in range(_FLIGHTS):
-            world = World(config.sim, seed)
+            world = twin(World)(config.sim, seed)
             began = time.process_time()
             run(world.events(), config, world.send, lambda _: None)
             took_s = time.process_time() - began
@@ -179,6 +180,9 @@ def install_size() -> dict[str, float]:
             if "extra" not in condition:
                 wanted.append(_NAME_ENDS.split(wanted_name.strip(), maxsplit=1)[0])
     sizes["companion"] = sum(_bytes(p) for p in Path(pilot.__file__).parent.rglob("*.py")) / 2**20
+    if why_not() is None:
+        for folder in import_module(PACKAGE).__path__:
+            sizes["companion"] += sum(_bytes(p) for p in Path(folder).rglob("*.so")) / 2**20
     return dict(sorted(sizes.items(), key=lambda item: -item[1]))
 
 

@@ -9,6 +9,8 @@ from collections.abc import Iterable
 
 import msgspec
 
+from companion.compiled import why_not
+
 ALL_ON = "`companion fly` as it stands, with record, status, ground station's messages and live view"
 
 
@@ -52,12 +54,16 @@ class Figure(msgspec.Struct, frozen=True):
 
 
 class Machine(msgspec.Struct, frozen=True):
-    """Where it was measured. `load`: processes that wanted a core, before the benchmark began."""
+    """Where it was measured. `load`: processes that wanted a core, before the benchmark began.
+
+    `core`: that of this app, "compiled" or "not compiled".
+    """
 
     python: str
     system: str
     cores: int
     load: float
+    core: str = "not compiled"
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -83,7 +89,7 @@ def table(report: Report) -> str:
     """For a terminal."""
     m = report.machine
     lines = [
-        f"Python {m.python}, {m.system}, {m.cores} cores, load {m.load:.1f} before"
+        f"Python {m.python}, core {m.core}, {m.system}, {m.cores} cores, load {m.load:.1f} before"
         + (", short form: good for ratios only" if report.short else ""),
         f"{'':62}{'companion':>11}{'floor':>9}{'ratio':>7}   goal",
     ]
@@ -107,7 +113,8 @@ def markdown(report: Report) -> str:
     """For the README."""
     m = report.machine
     lines = [
-        f"Measured with Python {m.python} on {m.cores} cores ({m.system}), load {m.load:.1f} before"
+        f"Measured with Python {m.python}, the core {m.core}, on {m.cores} cores ({m.system}), "
+        f"load {m.load:.1f} before"
         f"{', short form' if report.short else ''}.",
         f"All on: {ALL_ON}.",
         "Bold: the goal is missed.",
@@ -140,7 +147,8 @@ def here(load: float) -> Machine:
     system = f"{platform.system()} {platform.machine()}"
     is_optimised = "--enable-optimizations" in str(sysconfig.get_config_var("CONFIG_ARGS"))
     built = "" if is_optimised else " (built without --enable-optimizations)"
-    return Machine(platform.python_version() + built, system, os.cpu_count() or 1, round(load, 1))
+    core = "compiled" if why_not() is None else "not compiled"
+    return Machine(platform.python_version() + built, system, os.cpu_count() or 1, round(load, 1), core)
 
 
 def quantile(values: Iterable[float], share: float) -> float:

@@ -18,6 +18,7 @@ import msgspec
 import companion.fly  # noqa: F401 - what a flight loads, the libraries of both links among it
 from companion.bench.system.cost import configuration
 from companion.bench.system.wire import rss_of
+from companion.compiled import twin
 from companion.link.ground_station import GroundStation
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
@@ -51,7 +52,7 @@ class _Nowhere:
 def fly(minutes: float, file: io.FileIO) -> list[tuple[float, float]]:
     """Simulated seconds and resident MiB, every `_SAMPLE_S` of the flight."""
     config = configuration(1, minutes * 60.0)
-    world = World(config.sim, 1)
+    world = twin(World)(config.sim, 1)
     pending = io.BytesIO()
     writer = FlightWriter(pending, start_now(config, "", {}))
     link = VehicleLink(config.vehicle, _Nowhere(), ground=GroundStation(config))

@@ -1,0 +1,130 @@
+"""The compiled core does what the plain one does, and is never older than it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion import compiled, pilot
+from companion.bench.system.cost import configuration
+from companion.compiled import source, twin
+from companion.config import Config
+from companion.guidance.settings import GuidanceSettings
+from companion.types import Event, Output
+from sitl_mock.faults import Fault, FaultAt
+from sitl_mock.scenario import Scenario
+from sitl_mock.world import World
+
+FAULTS = (
+    FaultAt(Fault.RANGE_LOSS, 9.0, 3.0),
+    FaultAt(Fault.RANGE_BIAS, 15.0, 2.0),
+    FaultAt(Fault.BEACON_RESTART, 19.0, 1.0),
+    FaultAt(Fault.TELEMETRY_STOP, 22.0, 2.0),
+)
+CASES = {
+    "capture": Config(sim=Scenario(random_start=True, telemetry="stock", limit_s=30.0)),
+    "station": configuration(3, 30.0),
+    "paper": Config(
+        guidance=GuidanceSettings(observer="luenberger", controller="lq-paper"), sim=Scenario(limit_s=30.0)
+    ),
+}
+"""Kinds of flights that run through different parts of the guidance."""
+
+
+Flown = list[tuple[Event, tuple[Output, ...]]]
+"""Every event of a flight, and what left on it."""
+
+
+def flight(config: Config, seed: int, core: Any, world: type[World]) -> Flown:
+    around = world(config.sim, seed, FAULTS)
+    plan = core.plan(config)
+    state = core.initial(plan)
+    flown: Flown = []
+    for event in around.events():
+        state, outputs = core.step(plan, state, event)
+        for output in outputs:
+            around.send(output)
+        flown.append((event, outputs))
+    return flown
+
+
+@pytest.fixture(scope="module")
+def built() -> Any:
+    """The compiled pilot. Without a C compiler there is none: a failure only where it must be there."""
+    why = compiled.why_not()
+    if why is not None:
+        if os.environ.get("COMPANION_REQUIRE_COMPILED"):
+            pytest.fail(f"core {why}")
+        pytest.skip(f"core {why}")
+    return importlib.import_module(f"{compiled.PACKAGE}.companion.pilot")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_both_forms_of_the_core_and_of_the_mock_fly_the_same_bit_for_bit(name: str, built: Any) -> None:
+    plain = flight(CASES[name], 5, pilot, World)
+    assert len(plain) > 3000
+    assert flight(CASES[name], 5, built, twin(World)) == plain
+
+
+def test_the_rewritten_source_says_what_the_source_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a compiler: the same statements, run as the plain Python that they are."""
+    monkeypatch.setattr(source, "PACKAGE", "companion_rewritten")
+    source.write(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    core = importlib.import_module("companion_rewritten.companion.pilot")
+    world = importlib.import_module("companion_rewritten.sitl_mock.world")
+    assert flight(CASES["capture"], 5, core, world.World) == flight(CASES["capture"], 5, pilot, World)
+
+
+@pytest.fixture
+def fresh() -> Iterator[None]:
+    compiled.why_not.cache_clear()
+    yield
+    compiled.why_not.cache_clear()
+
+
+@pytest.mark.usefixtures("fresh", "built")
+def test_an_edited_source_runs_as_edited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled.why_not.cache_clear()
+    assert compiled.why_not() is None and twin(pilot.step) is not pilot.step
+    edited = tmp_path / "limits.py"
+    edited.write_bytes(compiled.file_of("companion.limits").read_bytes() + b"\n")
+    where = compiled.file_of
+    monkeypatch.setattr(
+        compiled, "file_of", lambda module: edited if module == "companion.limits" else where(module)
+    )
+    compiled.why_not.cache_clear()
+    why = compiled.why_not()
+    assert why is not None and "companion.limits has changed" in why and "make compiled" in why
+    assert twin(pilot.step) is pilot.step
+
+
+@pytest.mark.usefixtures("fresh")
+def test_without_a_compiled_core_the_plain_one_flies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, compiled.PACKAGE, None)
+    compiled.why_not.cache_clear()
+    why = compiled.why_not()
+    assert why is not None and "C compiler" in why
+    assert twin(pilot.step) is pilot.step and twin(World) is World
+
+
+def test_everything_that_a_build_depends_on_is_watched() -> None:
+    watched = set(source.made_from())
+    assert watched > set(source.MODULES)
+    assert {"companion.types", "companion.settings", "companion.phase", "sitl_mock.scenario"} <= watched
+
+
+def test_the_version_tells_of_the_core() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "companion", "--version"], capture_output=True, text=True, check=True
+    )
+    assert ", core " in done.stdout
