@@ -80,7 +80,7 @@ class Door:
         """Nothing waits, and nothing is to be told."""
         return not self._raw and self._dropped + self._pushed_out == self._told
 
-    def receive(self, now_ns: int) -> Iterator[tuple[Raw, Callable[[Raw], Event]]]:
+    def receive(self, now_ns: int) -> list[Event]:
         """What has come since, as far as the rate allows: of more, the newest."""
         count = len(self._raw)
         if self._t_ns is not None:
@@ -92,8 +92,7 @@ class Door:
         for _ in range(count - take):
             self._raw.popleft()
         self._dropped += count - take
-        for _ in range(take):
-            yield self._raw.popleft(), self._to_event
+        return [self._to_event(self._raw.popleft()) for _ in range(take)]
 
     def flood(self, now_ns: int) -> Malformed | None:
         """What was dropped, told now and then."""
@@ -205,11 +204,10 @@ class RangeLink:
             yield info_event(self._told.popleft())
         now_ns = clock()
         doors = [door for door in self._doors if not door.is_quiet()]
-        came = [raw for door in doors for raw in door.receive(now_ns)]
+        came = [event for door in doors for event in door.receive(now_ns)]
         if len(came) > 1:
             came.sort(key=_t_ns)
-        for raw, to_event in came:
-            yield to_event(raw)
+        yield from came
         for door in doors:
             flood = door.flood(now_ns)
             if flood is not None:
@@ -235,8 +233,8 @@ class RangeLink:
         self._opener.close()
 
 
-def _t_ns(came: tuple[Raw, Callable[[Raw], Event]]) -> int:
-    return came[0].t_ns
+def _t_ns(event: Event) -> int:
+    return event.t_ns
 
 
 def _raw(sample: zenoh.Sample) -> Raw:
