@@ -8,7 +8,8 @@ local frame keeps the estimate in place, and a bare zero climb rate drifts.
 from __future__ import annotations
 
 from math import copysign, hypot, sqrt
-from typing import NamedTuple
+
+import msgspec
 
 from sitl_mock.estimate import EstimateErrors
 from sitl_mock.modes import Mode
@@ -42,7 +43,7 @@ _LEVEL = frozenset({Mode.DESCEND, Mode.ALTCTL, Mode.MANUAL, Mode.STABILIZED, Mod
 """The modes that keep level and leave the horizontal velocity to the drag."""
 
 
-class Target(NamedTuple):
+class Target(msgspec.Struct, frozen=True, gc=False):
     """An OFFBOARD setpoint in the local frame; None: not controlled."""
 
     x_m: float | None = None

@@ -8,9 +8,9 @@ estimate, so the truth is what moves: `px4.py` subtracts these errors from what 
 from __future__ import annotations
 
 from math import exp, sqrt
-from random import Random
 from typing import NamedTuple
 
+from sitl_mock.noise import Noise
 from sitl_mock.scenario import TelemetryKind
 from sitl_mock.vehicle import STEP_S
 
@@ -68,15 +68,15 @@ class _Error:
 
     __slots__ = ("_first", "_gain", "_noise", "_second", "constant", "value")
 
-    def __init__(self, spread: Spread, random: Random) -> None:
+    def __init__(self, spread: Spread, noise: Noise) -> None:
         decay = exp(-_UPDATE_S / spread.tau_s)
         # A lag fed by a lag of equal τ has half its variance: the first one varies by √2 more.
         sigma = spread.varying * sqrt(2.0)
         self._gain = 1.0 - decay
         self._noise = sigma * sqrt(1.0 - decay * decay)
-        self._first = random.gauss(0.0, sigma)
-        self._second = 0.5 * self._first + random.gauss(0.0, 0.5 * sigma)
-        self.constant = random.gauss(0.0, spread.constant)
+        self._first = noise.gauss(sigma)
+        self._second = 0.5 * self._first + noise.gauss(0.5 * sigma)
+        self.constant = noise.gauss(spread.constant)
         self.value = self.constant + self._second
 
     def step(self, gauss: float) -> None:
@@ -95,8 +95,8 @@ class EstimateErrors:
         "_errors",
         "_heading",
         "_height",
+        "_noise",
         "_perfect",
-        "_random",
         "_vx",
         "_vy",
         "_wait",
@@ -114,13 +114,13 @@ class EstimateErrors:
 
     def __init__(self, kind: TelemetryKind, seed: int, drift_x_m_s: float, drift_y_m_s: float) -> None:
         quality = QUALITY[kind]
-        self._random = Random(f"{seed}/estimate")
+        self._noise = Noise(f"{seed}/estimate")
         self._perfect = kind in ("perfect", "none")
-        self._x, self._y = _Error(quality.position, self._random), _Error(quality.position, self._random)
-        self._vx, self._vy = _Error(quality.velocity, self._random), _Error(quality.velocity, self._random)
-        self._height = _Error(quality.height, self._random)
-        self._climb = _Error(quality.climb, self._random)
-        self._heading = _Error(quality.heading, self._random)
+        self._x, self._y = _Error(quality.position, self._noise), _Error(quality.position, self._noise)
+        self._vx, self._vy = _Error(quality.velocity, self._noise), _Error(quality.velocity, self._noise)
+        self._height = _Error(quality.height, self._noise)
+        self._climb = _Error(quality.climb, self._noise)
+        self._heading = _Error(quality.heading, self._noise)
         self._errors = (self._x, self._y, self._vx, self._vy, self._height, self._climb, self._heading)
         self._yaw_noise = quality.yaw_rate_noise_rad_s
         self._drift_x, self._drift_y = drift_x_m_s, drift_y_m_s
@@ -140,14 +140,13 @@ class EstimateErrors:
             self._x.value, self._y.value = self._x.constant, self._y.constant
             self.x_m, self.y_m = self._x.value, self._y.value
             return
-        gauss = self._random.gauss
         for error in self._errors:
-            error.step(gauss(0.0, 1.0))
+            error.step(self._noise.gauss(1.0))
         self._take()
 
     def yaw_rate_noise(self) -> float:
         """Draw the error of one yaw-rate measurement, rad/s."""
-        return self._random.gauss(0.0, self._yaw_noise) if self._yaw_noise else 0.0
+        return self._noise.gauss(self._yaw_noise) if self._yaw_noise else 0.0
 
     def _take(self) -> None:
         self.x_m, self.y_m = self._x.value, self._y.value

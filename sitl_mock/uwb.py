@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from math import sqrt
 from random import Random
-from typing import NamedTuple
+
+import msgspec
 
 from sitl_mock.faults import Fault, Faults
+from sitl_mock.noise import Noise
 from sitl_mock.scenario import BeaconAt, Scenario
 
 NLOS_BIAS_M = 1.5
 """What the fault RANGE_BIAS adds to every range."""
 
 
-class Range(NamedTuple):
+class Range(msgspec.Struct, frozen=True, gc=False):
     """One measured slant range. `los` is "los", "nlos" or "unknown"; `t_ns`: when, by the beacon's clock."""
 
     beacon: str
@@ -35,7 +37,7 @@ class Beacon:
         self.at = at
         self._scenario = scenario
         self._faults = faults
-        self._random = Random(f"{seed}/uwb/{at.id}")
+        self._random = Noise(f"{seed}/uwb/{at.id}")
         self._sessions = sessions or Random(f"{seed}/session/{at.id}")
         self._last: Range | None = None
         self._restarted = False
@@ -52,7 +54,7 @@ class Beacon:
         # Every measurement draws the same numbers, whatever becomes of it: faults do not shift the noise.
         lost, outlier = random.random(), random.random()
         excess = random.uniform(*s.range_outlier_m)
-        noise = random.gauss(0.0, s.range_sigma_m) if s.range_sigma_m else 0.0
+        noise = random.gauss(s.range_sigma_m) if s.range_sigma_m else 0.0
         if lost < s.range_dropout or self._faults.active(Fault.RANGE_LOSS):
             return None
         if self._faults.active(Fault.RANGE_FROZEN) and self._last is not None:

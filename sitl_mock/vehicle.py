@@ -9,8 +9,7 @@ Frames as everywhere: x East, y North, height up, heading counter-clockwise from
 
 from __future__ import annotations
 
-from collections import deque
-from math import atan2, cos, exp, pi, sin
+from math import atan2, cos, exp, pi, sin, sqrt
 
 from sitl_mock.scenario import Scenario
 
@@ -34,11 +33,13 @@ def wrap(angle_rad: float) -> float:
 class Lag:
     """A dead time and two equal first-order lags in series, in fixed steps; `lag_s` is the sum of the two."""
 
-    __slots__ = ("_gain", "_queue", "first", "value")
+    __slots__ = ("_at", "_gain", "_queue", "first", "value")
 
     def __init__(self, lag_s: float, delay_s: float = 0.0) -> None:
         self._gain = 1.0 - exp(-STEP_S / (0.5 * lag_s)) if lag_s > 0.0 else 1.0
-        self._queue = deque([0.0] * round(delay_s / STEP_S))
+        self._queue = [0.0] * round(delay_s / STEP_S)
+        self._at = 0
+        """The oldest command in the queue, which runs in a circle."""
         self.first = 0.0
         self.value = 0.0
 
@@ -46,8 +47,9 @@ class Lag:
         """Advance by STEP_S with this command; return the new value."""
         queue = self._queue
         if queue:
-            queue.append(command)
-            command = queue.popleft()
+            at = self._at
+            command, queue[at] = queue[at], command
+            self._at = at + 1 if at + 1 < len(queue) else 0
         self.first += self._gain * (command - self.first)
         self.value += self._gain * (self.first - self.value)
         return self.value
@@ -141,11 +143,12 @@ class Vehicle:
             self._rest()
             return
         # The old and the new rate's mean over the step: exact for a constant command.
-        self.x_m += 0.5 * (self.vx_m_s + vx) * STEP_S
-        self.y_m += 0.5 * (self.vy_m_s + vy) * STEP_S
+        twice_x, twice_y = self.vx_m_s + vx, self.vy_m_s + vy
+        self.x_m += 0.5 * twice_x * STEP_S
+        self.y_m += 0.5 * twice_y * STEP_S
         self.height_m += climb * STEP_S
         self.heading_rad = wrap(self.heading_rad + yaw_rate * STEP_S)
-        self.path_m += ((self.vx_m_s + vx) ** 2 + (self.vy_m_s + vy) ** 2) ** 0.5 * 0.5 * STEP_S
+        self.path_m += 0.5 * sqrt(twice_x * twice_x + twice_y * twice_y) * STEP_S
         self.vx_m_s, self.vy_m_s, self.climb_m_s, self.yaw_rate_rad_s = vx, vy, climb, yaw_rate
         if self.height_m <= 0.0:
             self._rest()

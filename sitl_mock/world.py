@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from math import cos, hypot, pi, sin
 from random import Random
-from typing import NamedTuple
+
+import msgspec
 
 from companion.types import (
     Attitude,
@@ -52,7 +53,7 @@ _STREAM_GAP_S = 0.5
 """Setpoints this close to one another are a stream."""
 
 
-class TruthSample(NamedTuple):
+class TruthSample(msgspec.Struct, frozen=True, gc=False):
     """Where the vehicle really is, 50 times a second."""
 
     t_s: float

@@ -49,6 +49,7 @@ MODULES = (
     "sitl_mock.autopilot",
     "sitl_mock.clock",
     "sitl_mock.estimate",
+    "sitl_mock.noise",
     "sitl_mock.params",
     "sitl_mock.px4",
     "sitl_mock.uwb",
