@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import zenoh
 
+from companion.compiled import twin
 from companion.exits import Exit
 from companion.link.ground_station import GroundStation
 from companion.link.mavlink import VehicleLink
@@ -37,7 +38,7 @@ def fly(
     log = FlightLog()
     try:
         with ExitStack() as stack:
-            bell = Bell()
+            bell = twin(Bell)()
             stack.callback(bell.close)
             for number in (
                 signal.SIGINT,
@@ -69,7 +70,7 @@ def fly(
             if recorder.problem is not None:
                 view.tell(f"not recorded: {recorder.problem}")
             gc.freeze()  # what is there now stays: the collector need not look at it again
-            final = Loop(settings, vehicle, ranges, bell, tell, recorder.write).fly()
+            final = twin(Loop)(settings, vehicle, ranges, bell, tell, recorder.write).fly()
     except (LinkError, OSError, SigningError, zenoh.ZError) as error:
         print(f"companion: link: {error}", file=sys.stderr)
         return Exit.LINK
@@ -99,7 +100,9 @@ def _links(stack: ExitStack, settings: Settings, bell: Bell) -> tuple[VehicleLin
         signed = SignedMavlink.of(settings.vehicle)
         if signed is not None:
             stack.callback(signed.close)
-        vehicle = VehicleLink.open(settings.vehicle, signed, settings.mission.shadow, GroundStation(settings))
+        vehicle = twin(VehicleLink).open(
+            settings.vehicle, signed, settings.mission.shadow, GroundStation(settings)
+        )
         stack.callback(vehicle.close)
     except OSError as error:
         raise LinkError(
@@ -109,7 +112,7 @@ def _links(stack: ExitStack, settings: Settings, bell: Bell) -> tuple[VehicleLin
     except ValueError as error:
         raise LinkError(str(error)) from error
     try:
-        ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
+        ranges = twin(RangeLink)(settings.ranges, bell.ring, settings.beacons)
         stack.callback(ranges.close)
     except ValueError as error:
         raise LinkError(str(error)) from error

@@ -23,8 +23,9 @@ from companion.state import State
 from companion.types import Event, ModeRequest, Output, RangeVerdict, Setpoint, StopRequest, Tick
 
 TICK_NS = 25_000_000
-"""The longest time without a tick: resolution of timeouts and of the stream's minimum rate."""
-_TICK_EARLY_NS = 10_000_000
+"""The longest time without a tick or a setpoint, a step as much as the other: resolution of timeouts
+and of the stream's minimum rate."""
+_TICK_EARLY_NS = 15_000_000
 """When the loop is awake anyway, it ticks after this: to be woken for a tick costs more than the tick."""
 _PAUSE_NS = 250_000_000
 """A loop that stood still for longer is told so first; less than any `loss.held_up_after_s`."""
@@ -101,6 +102,8 @@ class Loop:
         self._untold: deque[Output] = deque()
         self._bug: Exception | None = None
         self._t_turn_ns = 0
+        self._t_step_ns = -TICK_NS
+        """When a tick was given, or a setpoint left, last."""
         ranges.wake = self._wake
 
     def fly(self) -> State:
@@ -110,18 +113,18 @@ class Loop:
     def _events(self) -> Iterator[Event]:
         """What the main thread takes.
 
-        A range or a telemetry message is yielded as soon as it arrives; a tick at least every `TICK_NS`.
-        Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause the tick comes
-        first: ranges that waited bear the times at which they came, as if there had been none.
+        A range or a telemetry message is yielded as soon as it arrives; a tick where no setpoint has left for
+        `TICK_NS`. Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause the
+        tick comes first: ranges that waited bear the times at which they came, as if there had been none.
         """
         waiting = select.poll()  # not `selectors`: its wrapping costs more than the system call
         telemetry, rung = self._vehicle.fileno(), self._bell.fileno()
         waiting.register(telemetry, select.POLLIN)
         waiting.register(rung, select.POLLIN)
-        next_tick_ns, self._t_turn_ns = 0, time.monotonic_ns()
+        self._t_turn_ns = time.monotonic_ns()
         stopped = False
         while True:
-            wait_ms = math.ceil((next_tick_ns - time.monotonic_ns()) * 1e-6)
+            wait_ms = math.ceil((self._t_step_ns + TICK_NS - time.monotonic_ns()) * 1e-6)
             ready = self._sleep(waiting, max(0, wait_ms))
             while self._untold:
                 self._tell(self._untold.popleft())
@@ -140,8 +143,8 @@ class Loop:
             if self._bell.stop_asked and not stopped:
                 stopped = True
                 yield StopRequest(t_ns=now_ns)
-            if now_ns >= next_tick_ns - (TICK_NS - _TICK_EARLY_NS):
-                next_tick_ns = now_ns + TICK_NS
+            if now_ns >= self._t_step_ns + _TICK_EARLY_NS:
+                self._t_step_ns = now_ns
                 yield Tick(t_ns=now_ns)
 
     def _sleep(self, waiting: select.poll, wait_ms: int) -> list[int]:
@@ -185,6 +188,8 @@ class Loop:
         """To the vehicle at once, in either thread: no transport waits. To everybody else when awake."""
         self._vehicle.send(output)
         if isinstance(output, _NOT_TOLD):
+            if isinstance(output, Setpoint):
+                self._t_step_ns = output.t_ns
             return
         if self._is_asleep:
             self._untold.append(output)

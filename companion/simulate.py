@@ -94,7 +94,7 @@ def fly_one(config: Config, seed: int) -> FlightResult:
     goal = true_goal(config)
     world = twin(World)(config.sim, seed, autopilot=config.vehicle.kind)
     watch = _Watch(world)
-    final = run(watch.events(), config, watch.send, _ignore)
+    final = twin(run)(watch.events(), config, watch.send, _ignore)
     flown = [sample for sample in world.truth if sample.t_s >= (watch.engaged_s or 0.0)] or world.truth[-1:]
     return _judge(config, seed, goal, world, flown, watch, final.reason)
 

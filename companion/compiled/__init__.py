@@ -3,6 +3,8 @@
 `twin` gives the compiled form of a function or class, and the thing itself where there is none. Compiled code
 counts only as long as every file that it was made from is the one that is here: whoever edits a source runs
 what was edited, not what was built before. Both forms do the same, bit for bit; only their speed differs.
+
+A compiled class is another class: who gives one to compiled code gives its twin.
 """
 
 from __future__ import annotations

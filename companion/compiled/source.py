@@ -38,10 +38,18 @@ MODULES = (
     "companion.health",
     "companion.intake",
     "companion.limits",
+    "companion.link.decode",
+    "companion.link.frames",
+    "companion.link.mavlink",
+    "companion.link.range_events",
+    "companion.link.transport",
+    "companion.link.zenoh_ranges",
+    "companion.live",
     "companion.pace",
     "companion.pilot",
     "companion.reach",
     "companion.reasons",
+    "companion.run",
     "companion.state",
     "companion.status",
     "companion.vehicle",
@@ -57,8 +65,9 @@ MODULES = (
     "sitl_mock.visitors",
     "sitl_mock.world",
 )
-"""What every step of a flight runs through, and of a simulated one. Whose Structs are recorded, sent or
-configured (`companion.types`, the settings) is shared by both forms, and stays as it is."""
+"""What a range runs through on its way to a setpoint, every step of a flight, and of a simulated one. Whose
+Structs are recorded, sent or configured (`companion.types`, the settings) is shared by both forms, and stays
+as it is."""
 
 
 def write(into: Path) -> list[Path]:

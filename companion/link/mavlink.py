@@ -16,10 +16,11 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.decode import WORDS, decoders, heading_from_yaw
-from companion.link.frames import SetPositionTarget, messages
+from companion.link.frames import SetPositionTarget
 from companion.link.ground_station import GroundStation
 from companion.link.modes import DIALECTS, STEERING, message_id, wanted_rates
 from companion.link.signing import REFUSALS, SignedMavlink, is_signed
+from companion.link.telemetry_frames import messages
 from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
 from companion.settings import VehicleSettings
 from companion.types import (

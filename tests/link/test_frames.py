@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.link.frames import SetPositionTarget, messages
+from companion.link.frames import SetPositionTarget
 from companion.link.mavlink import VehicleLink
+from companion.link.telemetry_frames import messages
 from companion.settings import VehicleSettings
 from companion.types import Malformed
 from tests.safety.test_check import Wire

@@ -373,16 +373,39 @@ def test_a_stop_is_told_to_the_pilot_once(scene: Scene) -> None:
 def test_it_ticks_when_it_is_awake_anyway_and_otherwise_every_25_ms(scene: Scene) -> None:
     def sleeps() -> Iterator[list[int]]:
         yield []
-        for t_ms in (4, 12):
+        for t_ms in (4, 16):
             scene.t_ms = t_ms
             scene.ranges.came.append(RangeSample(t_ms * MS, "b1", "s", t_ms, 10.0))
             yield [scene.bell.fileno()]
-        scene.t_ms = 37
+        scene.t_ms = 41
         yield []
 
     scene.fly(sleeps())
-    assert [event.t_ns // MS for event in scene.taken if isinstance(event, Tick)] == [0, 12, 37]
-    assert [event.t_ns // MS for event in scene.taken if isinstance(event, RangeSample)] == [4, 12]
+    assert [event.t_ns // MS for event in scene.taken if isinstance(event, Tick)] == [0, 16, 41]
+    assert [event.t_ns // MS for event in scene.taken if isinstance(event, RangeSample)] == [4, 16]
+
+
+def test_a_setpoint_takes_a_ticks_place(scene: Scene) -> None:
+    def ticks() -> int:
+        return sum(isinstance(event, Tick) for event in scene.taken)
+
+    def sleeps() -> Iterator[list[int]]:
+        yield scene.engaged()
+        scene.t_ms += 30
+        scene.setpoints()
+        before = ticks()
+        for _ in range(5):
+            scene.range()
+            assert scene.setpoints() == 1
+            scene.t_ms += 10
+            yield []
+            scene.t_ms += 7
+        assert ticks() == before
+        scene.t_ms += 20  # without a range
+        yield []
+        assert ticks() == before + 1
+
+    scene.fly(sleeps())
 
 
 def test_a_link_that_is_flooded_leaves_the_loop_its_turn() -> None:
@@ -403,6 +426,7 @@ def test_a_bug_in_flight_is_not_told_as_a_matter_of_the_link(monkeypatch: pytest
         raise ValueError("math domain error")
 
     monkeypatch.setattr(pilot, "step", bug)
+    monkeypatch.setattr(flying, "twin", lambda thing: thing)  # the compiled loop takes no other links
     monkeypatch.setattr(flying, "_links", lambda *_: (Vehicle(), Ranges()))
     settings = Settings(status=StatusSettings(rate_hz=0.0))
     recorder = Recorder(None, start_now(settings, "", {}), "none", "a test")

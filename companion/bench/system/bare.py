@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from companion import config
+from companion.compiled import twin
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell, Loop
@@ -17,11 +18,11 @@ from companion.live import Bell, Loop
 def main(path: Path) -> None:
     """Fly until killed."""
     settings = config.load(path, {}, []).config
-    bell = Bell()
-    vehicle = VehicleLink.open(settings.vehicle)
-    ranges = RangeLink(settings.ranges, bell.ring, settings.beacons)
+    bell = twin(Bell)()
+    vehicle = twin(VehicleLink).open(settings.vehicle)
+    ranges = twin(RangeLink)(settings.ranges, bell.ring, settings.beacons)
 
-    Loop(settings, vehicle, ranges, bell, lambda _: None, lambda _: None).fly()
+    twin(Loop)(settings, vehicle, ranges, bell, lambda _: None, lambda _: None).fly()
 
 
 if __name__ == "__main__":

@@ -111,7 +111,7 @@ def simulated_per_s(seconds: float) -> float:
         for seed in range(_FLIGHTS):
             world = twin(World)(config.sim, seed)
             began = time.process_time()
-            run(world.events(), config, world.send, lambda _: None)
+            twin(run)(world.events(), config, world.send, lambda _: None)
             took_s = time.process_time() - began
             best[seed] = min(best[seed], took_s)
             used_s += took_s
