@@ -19,16 +19,12 @@ BUILDS = frozenset({"bdist_wheel", "build_ext", "editable_wheel"})
 
 
 def packages() -> None:
-    """What the compiled modules go into (pyproject.toml names the place), and what they are made from."""
+    """What the compiled modules go into; pyproject.toml names the place."""
     for module in source.MODULES:
         folder = BUILD.joinpath("package", PACKAGE, *module.split(".")[:-1])
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "__init__.py").touch()
-    told = (
-        '"""What is compiled here, and the digest of every source that it was made from."""\n\n'
-        f"COMPILED = {source.MODULES!r}\nMADE_FROM = {source.made_from()!r}\n"
-    )
-    (BUILD / "package" / PACKAGE / "__init__.py").write_text(told, encoding="utf-8")
+    (BUILD / "package" / PACKAGE / "__init__.py").touch()
 
 
 def extensions() -> list[Extension]:

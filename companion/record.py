@@ -22,7 +22,7 @@ from typing import Protocol, get_args
 
 import msgspec
 
-from companion.compiled import why_not
+from companion.compiled import form
 from companion.foxglove import TOPICS, Views, viewer_schema
 from companion.mcap_writer import McapWriter
 from companion.types import AnyEvent, AnyOutput, Event, Output, Severity
@@ -132,7 +132,7 @@ def versions() -> dict[str, str]:
     return {
         "companion": metadata.version("companion"),
         "source": _source_digest(Path(__file__).parent),
-        "core": "compiled" if why_not() is None else "not compiled",
+        "core": form(),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}, {' '.join(platform.libc_ver())}",
         **{name: metadata.version(name) for name in _LIBRARIES},

@@ -18,6 +18,9 @@ from typing import Any, TypeVar
 
 PACKAGE = "companion_compiled"
 """`companion.pilot` is compiled as `companion_compiled.companion.pilot`."""
+MANIFEST = f"{PACKAGE}.manifest"
+"""What is compiled and what it was made from. Compiled itself, into the same library: a build that fails
+leaves an old library with its old digests, and none that is taken for a new one."""
 ROOT = Path(__file__).parents[2]
 
 _Thing = TypeVar("_Thing", bound=Callable[..., Any])
@@ -25,7 +28,7 @@ _Thing = TypeVar("_Thing", bound=Callable[..., Any])
 
 def twin(thing: _Thing) -> _Thing:
     """The compiled form of a function or class; the thing itself where there is none."""
-    if why_not() is not None or thing.__module__ not in import_module(PACKAGE).COMPILED:
+    if why_not() is not None or thing.__module__ not in import_module(MANIFEST).COMPILED:
         return thing
     compiled: _Thing = getattr(import_module(f"{PACKAGE}.{thing.__module__}"), thing.__name__)
     return compiled
@@ -35,14 +38,18 @@ def twin(thing: _Thing) -> _Thing:
 def why_not() -> str | None:
     """Why the core runs as plain Python, for a person; None where it is compiled."""
     try:
-        made_from: dict[str, str] = import_module(PACKAGE).MADE_FROM
-        import_module(f"{PACKAGE}.companion.pilot")
+        made_from: dict[str, str] = import_module(MANIFEST).MADE_FROM
     except ImportError:
         return "not compiled when it was installed (that takes a C compiler and Python's headers)"
     for module, digest in made_from.items():
         if digest_of(file_of(module)) != digest:
             return f"{module} has changed since it was compiled (to compile it anew: make compiled)"
     return None
+
+
+def form() -> str:
+    """Of the core that runs here: "compiled" or "not compiled"."""
+    return "compiled" if why_not() is None else "not compiled"
 
 
 def file_of(module: str) -> Path:

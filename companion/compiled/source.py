@@ -13,7 +13,7 @@ import ast
 from pathlib import Path
 from typing import TypeGuard
 
-from companion.compiled import PACKAGE, digest_of, file_of
+from companion.compiled import MANIFEST, PACKAGE, digest_of, file_of
 
 MODULES = (
     "companion.beacons",
@@ -71,7 +71,7 @@ as it is."""
 
 
 def write(into: Path) -> list[Path]:
-    """Write the rewritten modules below `into`; their files."""
+    """Write the rewritten modules below `into`, and the manifest; their files."""
     trees = {module: ast.parse(file_of(module).read_text(encoding="utf-8")) for module in MODULES}
     structs = [
         frozenset(name for name, _, _ in _fields(node))
@@ -80,7 +80,10 @@ def write(into: Path) -> list[Path]:
         if isinstance(node, ast.ClassDef) and _is_struct(node)
     ]
     replaced = frozenset(name for tree in trees.values() for name in _replaced(tree))
-    files: list[Path] = []
+    manifest = into.joinpath(*MANIFEST.split(".")).with_suffix(".py")
+    manifest.parent.mkdir(parents=True, exist_ok=True)
+    manifest.write_text(f"COMPILED = {MODULES!r}\nMADE_FROM = {made_from()!r}\n", encoding="utf-8")
+    files = [manifest]
     for module, tree in trees.items():
         file = into.joinpath(PACKAGE, *module.split(".")).with_suffix(".py")
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -129,6 +130,7 @@ def test_the_rewritten_source_says_what_the_source_says(
 ) -> None:
     """Without a compiler: the same statements, run as the plain Python that they are."""
     monkeypatch.setattr(source, "PACKAGE", "companion_rewritten")
+    monkeypatch.setattr(source, "MANIFEST", "companion_rewritten.manifest")
     source.write(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     core = importlib.import_module("companion_rewritten.companion.pilot")
@@ -159,9 +161,15 @@ def test_an_edited_source_runs_as_edited(tmp_path: Path, monkeypatch: pytest.Mon
     assert twin(pilot.step) is pilot.step
 
 
+@pytest.mark.usefixtures("built")
+def test_a_library_carries_its_own_digests() -> None:
+    """Beside it, a build that failed would leave an old library with the digests of a new one."""
+    assert str(importlib.import_module(compiled.MANIFEST).__file__).endswith(tuple(EXTENSION_SUFFIXES))
+
+
 @pytest.mark.usefixtures("fresh")
 def test_without_a_compiled_core_the_plain_one_flies(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, compiled.PACKAGE, None)
+    monkeypatch.setitem(sys.modules, compiled.MANIFEST, None)
     compiled.why_not.cache_clear()
     why = compiled.why_not()
     assert why is not None and "C compiler" in why

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from companion.compiled import why_not
+from companion.compiled import form
 
 ALL_ON = "`companion fly` as it stands, with record, status, ground station's messages and live view"
 
@@ -147,8 +147,7 @@ def here(load: float) -> Machine:
     system = f"{platform.system()} {platform.machine()}"
     is_optimised = "--enable-optimizations" in str(sysconfig.get_config_var("CONFIG_ARGS"))
     built = "" if is_optimised else " (built without --enable-optimizations)"
-    core = "compiled" if why_not() is None else "not compiled"
-    return Machine(platform.python_version() + built, system, os.cpu_count() or 1, round(load, 1), core)
+    return Machine(platform.python_version() + built, system, os.cpu_count() or 1, round(load, 1), form())
 
 
 def quantile(values: Iterable[float], share: float) -> float:
