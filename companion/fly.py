@@ -101,7 +101,7 @@ def _links(stack: ExitStack, settings: Settings, bell: Bell) -> tuple[VehicleLin
         if signed is not None:
             stack.callback(signed.close)
         vehicle = twin(VehicleLink).open(
-            settings.vehicle, signed, settings.mission.shadow, GroundStation(settings)
+            settings.vehicle, signed, settings.mission.shadow, twin(GroundStation)(settings)
         )
         stack.callback(vehicle.close)
     except OSError as error:

@@ -27,13 +27,14 @@ from companion.exits import Exit
 from companion.link.zenoh_publish import Ear, Heard, PublishLink
 from companion.link.zenoh_session import words
 from companion.network_settings import NAME_RULE, RangesSettings, is_name
+from companion.range_message import RangeMessage
 from companion.uwb import info as beacon_info
 from companion.uwb.check import Finding, KeyReport, Level, judge, judge_beacon
 from companion.uwb.families import Family, open_parser
 from companion.uwb.info import BeaconInfo
 from companion.uwb.measured import LosRule, Measured, Parser
 from companion.uwb.sources import Recording, SerialPort, Simulated, Source, SourceError, batches
-from companion.wire_range import RangeMessage, alive_key, info_key
+from companion.wire_range import alive_key, info_key
 
 MOST_PAIRS = 64
 """Beacons times tags that one publisher serves. A module without checksums can invent ids without end."""

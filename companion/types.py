@@ -356,21 +356,18 @@ class Phase(Enum):
     ENDED = "ended"
     """The flight is over, or nothing came to begin it with. Final."""
 
-    @property
-    def is_final(self) -> bool:
-        """True where the loop ends."""
-        return self in _FINAL
-
-    @property
-    def is_engaged(self) -> bool:
-        """True where setpoints steer the vehicle."""
-        return self in _ENGAGED
+    is_final: bool
+    """The loop ends here."""
+    is_engaged: bool
+    """Setpoints steer the vehicle."""
 
 
-_FINAL = frozenset({Phase.ENDED})
 _ENGAGED = frozenset(
     {Phase.ACQUIRE, Phase.APPROACH, Phase.HOLD, Phase.KEEP, Phase.COAST, Phase.STALL, Phase.HAND_OVER}
 )
+for _phase in Phase:  # plain attributes, not properties: asked for several times on every event
+    _phase.is_final = _phase is Phase.ENDED
+    _phase.is_engaged = _phase in _ENGAGED
 
 
 class PhaseChange(Output, frozen=True, gc=False, tag="phase_change"):

@@ -19,8 +19,9 @@ import msgspec
 import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
+from companion.range_message import RangeMessage
 from companion.types import LineOfSight
-from companion.wire_range import RangeMessage, encode, range_key
+from companion.wire_range import encode, range_key
 from sitl_mock.ardupilot import ArduPilot
 from sitl_mock.clock import Clock
 from sitl_mock.control import Control

@@ -25,8 +25,8 @@ from companion.link.zenoh_publish import PublishLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell
 from companion.network_settings import RangesSettings
+from companion.range_message import RangeMessage
 from companion.types import RangeSample, Verdict
-from companion.wire_range import RangeMessage
 
 TAG = "bench"
 WARM_UP_S = 1.0

@@ -2,9 +2,10 @@
 
 mypyc compiles typed Python. What it cannot make fast are msgspec's Structs, whose fields it reaches as any
 Python would. So each Struct of the modules below becomes a plain class of the same fields, and `replace` of
-one a copy with other values; numbers of a module become constants, and members of imported enums too, since
-to look one up takes longer than most calls. Every other statement stays as it is written: the second copy of
-the core is one that a build makes and throws away.
+one a copy with other values; a NamedTuple is made by C alone, not by its own Python function; numbers of a
+module become constants, and members of imported enums too, since to look one up takes longer than most calls.
+Every other statement stays as it is written: the second copy of the core is one that a build makes and throws
+away.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ MODULES = (
     "companion.limits",
     "companion.link.decode",
     "companion.link.frames",
+    "companion.link.ground_station",
     "companion.link.mavlink",
     "companion.link.range_events",
     "companion.link.transport",
@@ -53,6 +55,7 @@ MODULES = (
     "companion.state",
     "companion.status",
     "companion.vehicle",
+    "companion.wire_range",
     "sitl_mock.ardupilot",
     "sitl_mock.autopilot",
     "sitl_mock.clock",
@@ -77,9 +80,15 @@ def write(into: Path) -> list[Path]:
         frozenset(name for name, _, _ in _fields(node))
         for tree in trees.values()
         for node in tree.body
-        if isinstance(node, ast.ClassDef) and _is_struct(node)
+        if isinstance(node, ast.ClassDef) and _is_a(node, "msgspec.Struct")
     ]
     replaced = frozenset(name for tree in trees.values() for name in _replaced(tree))
+    tuples = {
+        (module, node.name): [(name, value) for name, _, value in _fields(node)]
+        for module, tree in trees.items()
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and _is_a(node, "NamedTuple")
+    }
     manifest = into.joinpath(*MANIFEST.split(".")).with_suffix(".py")
     manifest.parent.mkdir(parents=True, exist_ok=True)
     manifest.write_text(f"COMPILED = {MODULES!r}\nMADE_FROM = {made_from()!r}\n", encoding="utf-8")
@@ -87,7 +96,7 @@ def write(into: Path) -> list[Path]:
     for module, tree in trees.items():
         file = into.joinpath(PACKAGE, *module.split(".")).with_suffix(".py")
         file.parent.mkdir(parents=True, exist_ok=True)
-        rewritten = ast.fix_missing_locations(_Rewriter(structs, replaced).visit(tree))
+        rewritten = ast.fix_missing_locations(_Rewriter(module, structs, replaced, tuples).visit(tree))
         file.write_text(ast.unparse(rewritten) + "\n", encoding="utf-8")
         files.append(file)
     return files
@@ -109,14 +118,30 @@ def made_from() -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
+_Tuples = dict[tuple[str, str], list[tuple[str, ast.expr | None]]]
+"""Module and name of every NamedTuple → its fields and their defaults."""
+
+
 class _Rewriter(ast.NodeTransformer):
-    def __init__(self, structs: list[frozenset[str]], replaced: frozenset[str]) -> None:
+    def __init__(
+        self, module: str, structs: list[frozenset[str]], replaced: frozenset[str], tuples: _Tuples
+    ) -> None:
         self._structs = structs
         self._replaced = replaced
+        self._tuples = {name: fields for (of, name), fields in tuples.items() if of == module}
+        """As they are called in this module."""
+        self._all_tuples = tuples
         self._members: dict[str, ast.Attribute] = {}
 
     def visit_ImportFrom(self, node: ast.ImportFrom) -> list[ast.stmt]:
         """Compiled modules import one another; all the rest they share with the app."""
+        for alias in node.names:
+            called = alias.asname or alias.name
+            for (module, name), fields in self._all_tuples.items():
+                if (node.module, alias.name) == (module, name):
+                    self._tuples[called] = fields
+                elif f"{node.module}.{alias.name}" == module:
+                    self._tuples[f"{called}.{name}"] = fields
         if node.module in MODULES:
             return [ast.ImportFrom(f"{PACKAGE}.{node.module}", node.names, 0)]
         compiled = [a for a in node.names if f"{node.module}.{a.name}" in MODULES]
@@ -157,11 +182,19 @@ class _Rewriter(ast.NodeTransformer):
 
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
         self.generic_visit(node)
-        return _native(node, self._replaced) if _is_struct(node) else node
+        return _native(node, self._replaced) if _is_a(node, "msgspec.Struct") else node
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        """`replace(s, phase=x)` → `s.but().but_phase(x)`, which mypyc calls directly."""
+        """`replace(s, phase=x)` → `s.but().but_phase(x)`, which mypyc calls directly; `Gains(1.0, k2=x)` →
+        `tuple.__new__(Gains, (1.0, x))`."""
         self.generic_visit(node)
+        fields = self._tuples.get(ast.unparse(node.func))
+        if fields is not None and not any(isinstance(a, ast.Starred) for a in node.args):
+            named = {k.arg: k.value for k in node.keywords}
+            rest = [named.get(name, value) for name, value in fields[len(node.args) :]]
+            values = [*node.args, *(value for value in rest if value is not None)]
+            new = ast.Attribute(ast.Name("tuple"), "__new__")
+            return ast.Call(new, [node.func, ast.Tuple(values)], [])
         names = {k.arg for k in node.keywords}
         if not _is_replace(node) or not any(names <= fields for fields in self._structs):
             return node
@@ -180,8 +213,8 @@ def _replaced(tree: ast.Module) -> set[str]:
     return {k.arg for node in ast.walk(tree) if _is_replace(node) for k in node.keywords if k.arg is not None}
 
 
-def _is_struct(node: ast.ClassDef) -> bool:
-    return any(ast.unparse(base) == "msgspec.Struct" for base in node.bases)
+def _is_a(node: ast.ClassDef, base: str) -> bool:
+    return base in map(ast.unparse, node.bases)
 
 
 def _fields(node: ast.ClassDef) -> list[tuple[str, str, ast.expr | None]]:

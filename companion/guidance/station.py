@@ -89,7 +89,7 @@ def command(p: Parameters, s: Station, dt_s: float, yaw_rate_rad_s: float) -> tu
     law = p.law if s.steps_s < STEPS_S else p.circling
     stay, wanted = station_steer.steer(law, q, s.stay, dt_s, yaw_rate_rad_s)
     steps_s = s.steps_s + dt_s if stay.is_there or stay.near_s > 0.0 else s.steps_s
-    s = replace(s, stay=stay._replace(near_s=0.0), steps_s=steps_s)
+    s = replace(s, stay=replace(stay, near_s=0.0), steps_s=steps_s)
     return s, Command(wanted.v_m_s, wanted.omega_rad_s, TRACK)
 
 
@@ -98,7 +98,7 @@ def _aside(s: Station) -> Situation:
     q = situation(s)
     # to the side of the way here, then to the other
     azimuth = math.atan2(s.at.u.py, s.at.u.px) + math.copysign(0.5 * math.pi, s.steps_s - STEP_S)
-    return q._replace(ex=q.ex + STEP_M * math.cos(azimuth), ey=q.ey + STEP_M * math.sin(azimuth))
+    return replace(q, ex=q.ex + STEP_M * math.cos(azimuth), ey=q.ey + STEP_M * math.sin(azimuth))
 
 
 def _search(p: Parameters, s: Station) -> Station:
@@ -156,7 +156,7 @@ def _adopt(s: Station, fit: Fit) -> Station:
     # around no drift and around the one found, in turns: the first misses what the second finds, late in a
     # flight with much drift, and the second what the first finds, where the drift found is wrong
     u = fit.at.u
-    next_one = station_search.NEW if s.search.is_drifting else station_search.NEW._replace(wx=u.wx, wy=u.wy)
+    next_one = station_search.NEW if s.search.is_drifting else replace(station_search.NEW, wx=u.wx, wy=u.wy)
     return replace(s, at=fit.at, beacons=tuple(beacons), search=next_one)
 
 
@@ -254,7 +254,7 @@ def _keep(p: Parameters, s: Station) -> Station:
     px, py = station_fit.closest(u.px, u.py, places, distances, weights)
     return replace(
         s,
-        at=s.at._replace(u=u._replace(px=px, py=py)),
+        at=replace(s.at, u=station_fit.Common(px, py, u.wx, u.wy)),
         t_refit=s.t + 1.0,
         problem=Problem.NONE if heard >= 2 else Problem.TOO_FEW,
     )
@@ -287,6 +287,6 @@ def station(
         can_stop=keeping.can_stop,
     )
     first_turn = 1.0 if settings.first_turn == "left" else -1.0
-    circling = law._replace(can_stop=False)
+    circling = replace(law, can_stop=False)
     p = Parameters(distances_m, law, circling, keeping, first_turn, settings.kalman_gate_sigma)
     return Scheme(p, initial, predict, update, command, knowledge)

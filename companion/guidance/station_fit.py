@@ -22,6 +22,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import msgspec
+
 TINY = 1e-9
 
 
@@ -288,7 +290,7 @@ STIFF = 1.0 / 0.05**2
 """Weight of a given station distance: one over the variance of its error, which is never quite zero."""
 
 
-class Solution(NamedTuple):
+class Solution(msgspec.Struct, frozen=True):
     """The optimum of (p, w), and its covariance: [[pp, pw], [pwᵀ, ww]] as an upper triangle."""
 
     u: Common
@@ -358,7 +360,7 @@ def solve(blocks: Sequence[Block], drift_sigma: float) -> Solution:
     return Solution(u, c11, c12, c13, c14, c22, c23, c24, c33, c34, c44)
 
 
-class Fit(NamedTuple):
+class Fit(msgspec.Struct, frozen=True):
     """A fit of everything: its cost, the solution, and the place of every beacon that took part."""
 
     cost: float
@@ -382,7 +384,7 @@ def refine(
     return Fit(cost, at, places)
 
 
-class Shape(NamedTuple):
+class Shape(msgspec.Struct, frozen=True):
     """The beacons' middle, the direction of the line that fits them best, and their rms spread along and
     across it."""
 

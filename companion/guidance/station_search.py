@@ -12,6 +12,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import msgspec
+from msgspec.structs import replace
+
 from companion.guidance.station_fit import (
     TINY,
     Common,
@@ -36,7 +39,7 @@ APART_M = 0.5
 """Fits whose stations and beacons are closer than this are the same."""
 
 
-class Modes(NamedTuple):
+class Modes(msgspec.Struct, frozen=True):
     """The best and, where there is one, the second best place of a beacon taken alone, and their costs."""
 
     bx: float
@@ -129,7 +132,7 @@ def stations(beacons: Sequence[tuple[float, float]], distances: Sequence[float])
     return [(fx - off * of.uy, fy + off * of.ux), (fx + off * of.uy, fy - off * of.ux)]
 
 
-class Candidate(NamedTuple):
+class Candidate(msgspec.Struct, frozen=True):
     """A beacon that takes part: its number, what its ranges say, d*, and its possible places."""
 
     number: int
@@ -145,7 +148,7 @@ class Start(NamedTuple):
     beacons: tuple[tuple[float, float], ...]
 
 
-class Search(NamedTuple):
+class Search(msgspec.Struct, frozen=True):
     """How far a search has come: candidates first (`looked` beacons so far), then fits from all starts.
 
     The first `planned` starts are those of the search itself. `trial` is the fit under way, after `rounds`
@@ -179,7 +182,7 @@ NEW = Search(0, ())
 def look(search: Search, found: Candidate | None) -> Search:
     """One more beacon has been looked at, or had nothing to show."""
     candidates = search.candidates if found is None else (*search.candidates, found)
-    return search._replace(looked=search.looked + 1, candidates=candidates)
+    return replace(search, looked=search.looked + 1, candidates=candidates)
 
 
 def plan(search: Search) -> Search:
@@ -192,7 +195,7 @@ def plan(search: Search) -> Search:
     for beacons in combinations([c.modes for c in search.candidates]):
         for px, py in stations(beacons, distances):
             starts.append(Start(Common(px, py, search.wx, search.wy), tuple(beacons)))
-    return search._replace(starts=tuple(starts), planned=len(starts))
+    return replace(search, starts=tuple(starts), planned=len(starts))
 
 
 def attempt(search: Search, drift_sigma: float) -> Search:
@@ -203,13 +206,13 @@ def attempt(search: Search, drift_sigma: float) -> Search:
     fit = refine(moments, [c.distance for c in search.candidates], u, beacons, drift_sigma)
     moved_m = math.hypot(fit.at.u.px - u.px, fit.at.u.py - u.py)
     if search.rounds + 1 == ROUNDS or moved_m < SETTLED_M or fit.cost == math.inf:
-        return search._replace(fits=(*search.fits, fit), trial=None, rounds=0)
-    return search._replace(trial=fit, rounds=search.rounds + 1)
+        return replace(search, fits=(*search.fits, fit), trial=None, rounds=0)
+    return replace(search, trial=fit, rounds=search.rounds + 1)
 
 
 def also(search: Search, start: Start) -> Search:
     """Try one more start, on the same data."""
-    return search._replace(starts=(*search.starts, start))
+    return replace(search, starts=(*search.starts, start))
 
 
 def image(of: Fit) -> Start:

@@ -8,7 +8,9 @@ A vehicle that cannot stop flies the smallest circle around the station instead.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from companion.guidance import lq
 from companion.guidance.model import clip, wrap
@@ -39,7 +41,7 @@ CIRCLE_MARGIN = 1.15
 """The smallest circle is this much wider than the tightest turn."""
 
 
-class Law(NamedTuple):
+class Law(msgspec.Struct, frozen=True, gc=False):
     """Constants of the vehicle and of the steering law; SI units, weights as in `GuidanceSettings`."""
 
     v: float
@@ -54,7 +56,7 @@ class Law(NamedTuple):
     can_stop: bool
 
 
-class Situation(NamedTuple):
+class Situation(msgspec.Struct, frozen=True, gc=False):
     """The station seen from the vehicle, the heading, the velocity through the air, and the drift: one frame,
     metres, radians, m/s."""
 
@@ -67,7 +69,7 @@ class Situation(NamedTuple):
     wy: float
 
 
-class Stay(NamedTuple):
+class Stay(msgspec.Struct, frozen=True, gc=False):
     """Whether the vehicle has come to the station, whether it creeps back, and for how long the station has
     seemed near: it stays once that is `SETTLE_S`, as the estimate settles while the vehicle stands."""
 
@@ -81,17 +83,18 @@ AWAY = Stay(False, False, 0.0)
 
 def steer(law: Law, q: Situation, stay: Stay, dt_s: float, yaw_rate_rad_s: float) -> tuple[Stay, Command]:
     """The next command, dt_s after the last. STAY means settled inside the radius; all else is TRACK."""
-    ex, ey, heading, vx, vy, wx, wy = q
-    w = math.hypot(wx, wy) + 1e-9
+    heading = q.heading
+    w = math.hypot(q.wx, q.wy) + 1e-9
     real = max(0.0, 1.0 - (DRIFT_FLOOR_M_S / w) ** 2)
-    wx, wy, w = real * wx, real * wy, real * w
+    wx, wy, w = real * q.wx, real * q.wy, real * w
+    q = replace(q, wx=wx, wy=wy)
     if not law.can_stop:
-        return _circle(law, q._replace(wx=wx, wy=wy), stay, dt_s, yaw_rate_rad_s)
+        return _circle(law, q, stay, dt_s, yaw_rate_rad_s)
     # the station as it will be seen when the vehicle has lost its speed
-    rx, ry = ex - law.speed_lag * vx, ey - law.speed_lag * vy
+    rx, ry = q.ex - law.speed_lag * q.vx, q.ey - law.speed_lag * q.vy
     turn = abs(wrap(heading - math.atan2(-wy, -wx))) if w > 0.0 else 0.0
     if stay.is_there:
-        return _hold(law, q._replace(wx=wx, wy=wy), stay, (rx, ry), turn, dt_s, yaw_rate_rad_s)
+        return _hold(law, q, stay, (rx, ry), turn, dt_s, yaw_rate_rad_s)
     # stop so far up the drift that it carries the vehicle in while that turns
     wait_s = turn / law.omega_max + law.yaw_rate_lag * min(turn, 1.0)
     ax, ay = rx - wx * wait_s, ry - wy * wait_s
@@ -155,13 +158,13 @@ def _purpose(near_s: float) -> int:
 
 def _circle(law: Law, q: Situation, stay: Stay, dt: float, yaw_rate: float) -> tuple[Stay, Command]:
     """Fly to the circle on a tangent and stay on it, counter-clockwise, the drift crabbed away."""
-    ex, ey, heading, _, _, wx, wy = q
+    wx, wy = q.wx, q.wy
     rho = CIRCLE_MARGIN * (law.v + math.hypot(wx, wy)) / law.omega_max
-    d = math.hypot(ex, ey)
+    d = math.hypot(q.ex, q.ey)
     aside = min(math.pi, max(0.0, 0.5 * math.pi - math.atan(2.0 * (d - rho) / rho)))
     # the course: the line of sight, turned to the right by `aside`
-    los = math.atan2(ey, ex) - aside
-    theta = wrap(heading - los)
+    los = math.atan2(q.ey, q.ex) - aside
+    theta = wrap(q.heading - los)
     crab = _crab(law, math.cos(los), math.sin(los), wx, wy)
     gains = lq.bearing_gains(max(d, rho), law.v, law.yaw_rate_lag, law.q1, law.q2, law.r)
     around = law.v / rho * math.sin(aside) if d < 2.0 * rho else 0.0

@@ -9,6 +9,7 @@ import msgspec
 
 from companion import wire_range
 from companion.network_settings import Ros2Settings
+from companion.range_message import RangeMessage
 from companion.types import BeaconTold, Defect, Event, Malformed, RangeSample
 from companion.uwb import info, ros2
 
@@ -77,7 +78,7 @@ def info_event(raw: Raw) -> Event:
     return BeaconTold(t_ns=raw.t_ns, beacon=beacon, height_m=told.height_m, bias_m=told.bias_m)
 
 
-def _sample(t_ns: int, beacon: str, m: wire_range.RangeMessage) -> RangeSample:
+def _sample(t_ns: int, beacon: str, m: RangeMessage) -> RangeSample:
     return RangeSample(
         t_ns=t_ns,
         beacon=beacon,

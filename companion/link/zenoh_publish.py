@@ -26,7 +26,8 @@ import zenoh
 from companion import wire_range
 from companion.link.zenoh_session import Opener, is_client, neighbours, zenoh_config
 from companion.network_settings import RangesSettings
-from companion.wire_range import RangeMessage, alive_key, info_key
+from companion.range_message import RangeMessage
+from companion.wire_range import alive_key, info_key
 
 _ANSWER_S = 2.0
 

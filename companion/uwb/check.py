@@ -18,8 +18,9 @@ import msgspec
 from companion import wire_range
 from companion.link.zenoh_publish import Answer, Heard
 from companion.network_settings import NAME_RULE, is_name
+from companion.range_message import RangeMessage
 from companion.uwb import info, ros2
-from companion.wire_range import JSON, MAX_PAYLOAD_BYTES, MSGPACK, RangeMessage
+from companion.wire_range import JSON, MAX_PAYLOAD_BYTES, MSGPACK
 
 KEY_FORM = f"{wire_range.KEY_VERSION}/{{site}}/{{beacon}}/{{tag}}/range"
 PAUSE_S = 0.5

@@ -16,8 +16,8 @@ import struct
 from enum import Enum
 from typing import NamedTuple
 
+from companion.range_message import RangeMessage
 from companion.types import LineOfSight
-from companion.wire_range import RangeMessage
 
 RANGE_TYPE = "sensor_msgs::msg::dds_::Range_"
 """The type's name in a key of rmw_zenoh."""

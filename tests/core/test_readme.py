@@ -17,8 +17,9 @@ from companion.exits import Exit
 from companion.link.zenoh_ranges import RangeLink
 from companion.network_settings import RangesSettings
 from companion.operator import OperatorResult
+from companion.range_message import RangeMessage
 from companion.types import RangeSample
-from companion.wire_range import RangeMessage, decode
+from companion.wire_range import decode
 from tests.core.readme import README, with_figures, with_table
 from tests.link.test_fly_process import free_port
 from tests.record.flights import flown, in_file

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion.guidance import station_fit, station_search
 from companion.guidance.station_fit import Common, Fit, Moments
@@ -92,7 +93,7 @@ def test_fits_are_told_apart_by_where_things_are_now() -> None:
         return Fit(cost, at, ((bx, 0.0),))
 
     def gap(other: Fit) -> float:
-        search = station_search.NEW._replace(fits=(fit(1.0, 10.0, 0.0, 20.0), other))
+        search = replace(station_search.NEW, fits=(fit(1.0, 10.0, 0.0, 20.0), other))
         return station_search.result(search, 50.0)[1]
 
     assert gap(fit(3.0, 10.0, 0.0, 20.1)) == math.inf

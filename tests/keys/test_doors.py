@@ -25,8 +25,8 @@ from companion.link.zenoh_publish import PublishLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.link.zenoh_session import zenoh_config
 from companion.network_settings import RangesSettings
+from companion.range_message import RangeMessage
 from companion.types import BeaconTold, Event, RangeSample
-from companion.wire_range import RangeMessage
 from tests.keys.site import BOUND_S, NOW, free_port, make, router
 
 

@@ -17,8 +17,9 @@ import zenoh
 from companion import wire_range
 from companion.link.zenoh_ranges import RangeLink
 from companion.network_settings import RangesSettings
+from companion.range_message import RangeMessage
 from companion.types import Defect, Event, LineOfSight, Malformed, RangeSample
-from companion.wire_range import JSON, MSGPACK, RangeMessage, range_key
+from companion.wire_range import JSON, MSGPACK, range_key
 from tests.uwb.network import router, until
 
 KEY = range_key("lab", "b1", "tag")

@@ -14,6 +14,7 @@ from companion.cli import main
 from companion.exits import Exit
 from companion.link.zenoh_publish import Answer, Heard, PublishLink
 from companion.network_settings import BeaconSettings, RangesSettings
+from companion.range_message import RangeMessage
 from companion.settings import Settings
 from companion.types import LineOfSight
 from companion.uwb import info
@@ -21,7 +22,7 @@ from companion.uwb.info import BeaconInfo
 from companion.watch.fleet import Link
 from companion.watch.sensors import MOST_PAIRS, Sensors, publishers
 from companion.watch.sensors_view import beacon_line, table
-from companion.wire_range import JSON, RangeMessage, alive_key, encode, info_key, range_key
+from companion.wire_range import JSON, alive_key, encode, info_key, range_key
 from tests.link.test_fly_process import start
 from tests.link.test_zenoh_status import free_endpoint
 

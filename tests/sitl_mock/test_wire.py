@@ -18,7 +18,8 @@ import pytest
 import zenoh
 from pymavlink.dialects.v20 import development as mavlink
 
-from companion.wire_range import JSON, RangeMessage, beacon_of, decode
+from companion.range_message import RangeMessage
+from companion.wire_range import JSON, beacon_of, decode
 from sitl_mock.__main__ import load_scenario, main
 from sitl_mock.scenario import BeaconAt, Scenario
 from tests.sitl_mock.process import free_udp_port, running_mock

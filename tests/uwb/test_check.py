@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from companion.link.zenoh_publish import Answer, Heard
 from companion.publish import Publication, Verdict, check
+from companion.range_message import RangeMessage
 from companion.uwb.check import Level, judge, judge_beacon
 from companion.uwb.info import BeaconInfo
 from companion.uwb.sources import Simulated
-from companion.wire_range import JSON, MSGPACK, RangeMessage, encode
+from companion.wire_range import JSON, MSGPACK, encode
 from tests.uwb.network import publishing, router, until
 from tests.uwb.samples import JAZZY
 

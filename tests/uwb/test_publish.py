@@ -15,10 +15,11 @@ from companion.exits import Exit
 from companion.link.zenoh_ranges import RangeLink
 from companion.network_settings import RangesSettings
 from companion.publish import Publication
+from companion.range_message import RangeMessage
 from companion.uwb.families import Family
 from companion.uwb.info import BeaconInfo, decode
 from companion.uwb.sources import Recording, SerialPort, Simulated, Source
-from companion.wire_range import JSON, MSGPACK, RangeMessage
+from companion.wire_range import JSON, MSGPACK
 from companion.wire_range import decode as decode_range
 from tests.uwb.network import LIMIT_S, Router, publishing, router, until
 from tests.uwb.samples import JSON_LINES, LEC4, NTF_FOUR

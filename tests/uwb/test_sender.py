@@ -10,12 +10,12 @@ import pytest
 
 from companion import cli_publish
 from companion.publish import MOST_PAIRS, Publication, Sender
+from companion.range_message import RangeMessage
 from companion.types import LineOfSight
 from companion.uwb.families import Family, open_parser
 from companion.uwb.info import BeaconInfo, decode, decode_many, encode, schema
 from companion.uwb.measured import LosRule, Measured
 from companion.uwb.sources import Recording, SerialPort, Simulated, Source
-from companion.wire_range import RangeMessage
 from tests.uwb.samples import NTF_FOUR
 
 NOWHERE = ("tcp/127.0.0.1:1",)

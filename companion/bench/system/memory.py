@@ -55,10 +55,10 @@ def fly(minutes: float, file: io.FileIO) -> list[tuple[float, float]]:
     world = twin(World)(config.sim, 1)
     pending = io.BytesIO()
     writer = FlightWriter(pending, start_now(config, "", {}))
-    link = VehicleLink(config.vehicle, _Nowhere(), ground=GroundStation(config))
+    link = twin(VehicleLink)(config.vehicle, _Nowhere(), ground=twin(GroundStation)(config))
     log = FlightLog()
     view = open_view(io.StringIO(), ViewKind.NONE)
-    ranges = RangeLink(RangesSettings(listen=("tcp/127.0.0.1:0",)), lambda: None)
+    ranges = twin(RangeLink)(RangesSettings(listen=("tcp/127.0.0.1:0",)), lambda: None)
     samples: list[tuple[float, float]] = []
     number, flushed_s, sampled_s = 0, 0.0, 0.0
 

@@ -23,7 +23,8 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.zenoh_session import zenoh_config
 from companion.network_settings import RangesSettings
-from companion.wire_range import JSON, RangeMessage, encode, range_key
+from companion.range_message import RangeMessage
+from companion.wire_range import JSON, encode, range_key
 
 PRIORITY = 10
 """As in config/companion.service, of the policy SCHED_RR."""
