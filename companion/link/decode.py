@@ -1,8 +1,8 @@
 """MAVLink telemetry → events, one function a message. The NED signs of what comes in live here.
 
 MAVLink's local frame is x North, y East, z down, yaw clockwise from North; ours is x East, y North, height
-up, heading counter-clockwise from East (see `companion.types`). A decoder returns None for a message whose
-numbers cannot be used.
+up, heading counter-clockwise from East (see `companion.types`). A decoder takes a message's fields by their
+names, and returns None where their numbers cannot be used.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ def heading_from_yaw(yaw_ned_rad: float) -> float:
     return math.pi if wrapped == -math.pi else wrapped
 
 
-def heartbeat(dialect: Dialect, m: Any, t_ns: int) -> Event:
+def heartbeat(dialect: Dialect, system_id: int, m: Any, t_ns: int) -> Event:
     """HEARTBEAT; of an autopilot of another kind its modes would be misread, so that one is not believed."""
     if m.autopilot != dialect.vendor:
         return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_VENDOR, detail=f"autopilot {m.autopilot}")
     armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
     mode = dialect.mode(m.custom_mode)
-    return VehicleHeartbeat(t_ns=t_ns, system_id=m.get_srcSystem(), mode=mode, armed=armed)
+    return VehicleHeartbeat(t_ns=t_ns, system_id=system_id, mode=mode, armed=armed)
 
 
 def current_mode(dialect: Dialect, m: Any, t_ns: int) -> Event:
@@ -154,10 +154,10 @@ _DECODERS: dict[str, Decoder] = {
 }
 
 
-def decoders(dialect: Dialect) -> dict[str, Decoder]:
-    """What must have usable numbers: None from these is a malformed message."""
+def decoders(dialect: Dialect, system_id: int) -> dict[str, Decoder]:
+    """For one autopilot, what must have usable numbers: None from these is a malformed message."""
     return _DECODERS | {
-        "HEARTBEAT": partial(heartbeat, dialect),
+        "HEARTBEAT": partial(heartbeat, dialect, system_id),
         "CURRENT_MODE": partial(current_mode, dialect),
     }
 

@@ -16,11 +16,10 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.decode import WORDS, decoders, heading_from_yaw
-from companion.link.frames import SetPositionTarget
 from companion.link.ground_station import GroundStation
 from companion.link.modes import DIALECTS, STEERING, message_id, wanted_rates
-from companion.link.signing import REFUSALS, SignedMavlink, is_signed
-from companion.link.telemetry_frames import messages
+from companion.link.packets import Packet, SetPositionTarget, packets
+from companion.link.signing import REFUSALS, SignedMavlink
 from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
 from companion.settings import VehicleSettings
 from companion.types import (
@@ -73,7 +72,7 @@ class VehicleLink:
         self._mav.robust_parsing = True
         self._target_system = settings.target_system
         self._dialect = DIALECTS[settings.kind]
-        self._decoders = decoders(self._dialect)
+        self._decoders = decoders(self._dialect, self._target_system)
         self._heard = frozenset({*self._decoders, *WORDS, *STEERING})
         self._wanted_hz = {message_id(name): hz for name, hz in wanted_rates(settings).items()}
         self._counts = dict.fromkeys(self._wanted_hz, 0)
@@ -108,67 +107,68 @@ class VehicleLink:
         while t_ns - began_ns < _TURN_NS and (data := self._transport.receive()):
             t_ns = clock()
             self._is_from_peer = is_from_peer(self._transport, t_ns)
-            for message in messages(self._mav, data, self._heard):
-                event = self._event(message, t_ns)
+            for packet in packets(self._mav, data, self._heard):
+                event = self._event(packet, t_ns)
                 if event is not None:
                     yield event
 
-    def _event(self, m: Any, t_ns: int) -> Event | None:
-        kind = m.get_type()
-        if kind == "BAD_DATA":
+    def _event(self, p: Packet, t_ns: int) -> Event | None:
+        m = p.fields
+        if p.name == "BAD_DATA":
             defect = Defect.MAVLINK_SIGNATURE if m.reason in REFUSALS else Defect.MAVLINK_BYTES
             return Malformed(t_ns=t_ns, defect=defect, detail=str(m.reason)[:80])
-        system, component = m.get_srcSystem(), m.get_srcComponent()
-        if component != mavlink.MAV_COMP_ID_AUTOPILOT1 or self._target_system not in (0, system):
-            return self._party(m, kind, t_ns)
-        if self._is_signing and kind in _SIGNED_ONLY and not is_signed(m):
-            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_SIGNATURE, detail=f"{kind} not signed")
-        if kind == "HEARTBEAT" and m.autopilot == self._dialect.vendor:
+        if p.component != mavlink.MAV_COMP_ID_AUTOPILOT1 or self._target_system not in (0, p.system):
+            return self._party(p, t_ns)
+        if self._is_signing and p.name in _SIGNED_ONLY and not p.is_signed:
+            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_SIGNATURE, detail=f"{p.name} not signed")
+        is_heartbeat = p.name == "HEARTBEAT"
+        is_vehicle = is_heartbeat and m.autopilot == self._dialect.vendor
+        if is_vehicle:
             self._is_from_peer = settle(self._transport, t_ns)
         if not self._is_from_peer:  # critical: our id from another address is another vehicle, or a lie
-            return self._party(m, kind, t_ns)
-        decode = self._decoders.get(kind)
+            return self._party(p, t_ns)
+        if is_vehicle and self._target_system == 0:
+            self._adopt(p.system)
+        decode = self._decoders.get(p.name)
         if decode is None:
-            words = WORDS.get(kind)
+            words = WORDS.get(p.name)
             return None if words is None or self._target_system == 0 else words(m, t_ns)
-        if self._target_system == 0:
-            if kind != "HEARTBEAT":
-                return None
-            if m.autopilot == self._dialect.vendor:
-                self._adopt(system)
-        if m.get_msgId() in self._counts:
-            self._counts[m.get_msgId()] += 1
-        if kind == "HEARTBEAT" and self._target_system:  # asked of system 0, everybody would answer
+        if self._target_system == 0 and not is_heartbeat:
+            return None
+        if p.number in self._counts:
+            self._counts[p.number] += 1
+        if is_heartbeat and self._target_system:  # asked of system 0, everybody would answer
             self._ask_for_telemetry(t_ns)
         event = decode(m, t_ns)
         if event is None:
-            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_FIELD, detail=kind)
+            return Malformed(t_ns=t_ns, defect=Defect.MAVLINK_FIELD, detail=p.name)
         return event
 
-    def _party(self, m: Any, kind: str, t_ns: int) -> Event | None:
+    def _party(self, p: Packet, t_ns: int) -> Event | None:
         """Somebody else, where it matters: another vehicle to mix up, or another one who steers ours.
 
         On a signed link nobody without the key steers. What cannot be seen: setpoints on other links of the
         autopilot, which it does not pass on to this one.
         """
-        ours, system, component = self._target_system, m.get_srcSystem(), m.get_srcComponent()
+        ours, configured, m = self._target_system, self._settings.target_system, p.fields
         party = None
-        if (kind != "HEARTBEAT" and kind not in STEERING) or (self._is_signing and not is_signed(m)):
+        if (p.name != "HEARTBEAT" and p.name not in STEERING) or (self._is_signing and not p.is_signed):
             return None
-        if component == self._settings.component_id and bytes(m.get_msgbuf()) in self._sent:
+        if p.component == self._settings.component_id and p.data in self._sent:
             return None  # a bridge sends back what this app has sent
-        if kind == "HEARTBEAT":
-            if (system, component) == (ours, self._settings.component_id):
+        if p.name == "HEARTBEAT":
+            if (p.system, p.component) == (ours, self._settings.component_id):
                 party = Party.TWIN
-            elif component == mavlink.MAV_COMP_ID_AUTOPILOT1 and self._settings.target_system in (0, system):
+            elif p.component == mavlink.MAV_COMP_ID_AUTOPILOT1 and configured in (0, p.system):
                 party = Party.AUTOPILOT if m.autopilot != mavlink.MAV_AUTOPILOT_INVALID else None
         elif ours and m.target_system in (0, ours):
             party = Party.COMMANDER
-        return None if party is None else PartyHeard(t_ns, party, system, component, kind)
+        return None if party is None else PartyHeard(t_ns, party, p.system, p.component, p.name)
 
     def _adopt(self, system: int) -> None:
         """The first autopilot heard is ours; we are part of its system."""
         self._target_system = system
+        self._decoders = decoders(self._dialect, system)
         self._mav.srcSystem = system
 
     def _ask_for_telemetry(self, t_ns: int) -> None:
@@ -241,21 +241,4 @@ def setpoint_message(s: Setpoint, target_system: int) -> SetPositionTarget:
         frame, mask = mavlink.MAV_FRAME_LOCAL_NED, _MASK_HEIGHT_HELD
         vx, vy = s.speed_m_s * math.cos(yaw_ned), s.speed_m_s * math.sin(yaw_ned)
         vz, z = 0.0, -s.height_m
-    return SetPositionTarget(
-        t_boot_ms,
-        0.0,
-        0.0,
-        z,
-        vx,
-        vy,
-        vz,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        -s.yaw_rate_rad_s,
-        mask,
-        target_system,
-        mavlink.MAV_COMP_ID_AUTOPILOT1,
-        frame,
-    )
+    return SetPositionTarget(t_boot_ms, z, vx, vy, vz, -s.yaw_rate_rad_s, mask, target_system, frame)

@@ -22,7 +22,6 @@ import time
 from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import development as mavlink
 
@@ -205,11 +204,6 @@ WRONG_SIGNATURE = "signed with another key, or tampered with"
 REPLAYED = "signed, but sent before or too old"
 REFUSALS = frozenset({NOT_SIGNED, WRONG_SIGNATURE, REPLAYED})
 """The reasons of BAD_DATA that signing gives."""
-
-
-def is_signed(message: Any) -> bool:
-    """True for a message whose signature was verified. Only such a one is believed about modes."""
-    return bool(message.get_signed())
 
 
 class _Signing(mavlink.MAVLinkSigning):  # type: ignore[misc]

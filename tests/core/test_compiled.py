@@ -9,22 +9,28 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from importlib.machinery import EXTENSION_SUFFIXES
+from itertools import repeat
 from pathlib import Path
 from random import Random
+from types import FrameType
 from typing import Any
 
 import msgspec
 import pytest
+from pymavlink.dialects.v20 import development as mavlink
 
 from companion import compiled, pilot
 from companion.bench.system.cost import configuration
 from companion.compiled import source, twin
 from companion.config import Config
 from companion.guidance.settings import GuidanceSettings
-from companion.types import Event, Output
+from companion.link.mavlink import VehicleLink
+from companion.settings import VehicleSettings
+from companion.types import Event, Output, Setpoint
 from sitl_mock.faults import Fault, FaultAt
 from sitl_mock.scenario import Scenario
 from sitl_mock.world import World
+from tests.safety.test_check import Wire
 
 FAULTS = (
     FaultAt(Fault.RANGE_LOSS, 9.0, 3.0),
@@ -123,6 +129,37 @@ def test_both_forms_make_the_same_of_strange_events(name: str, built: Any) -> No
         plain = told_by(pilot, CASES[name], spoilt(events, Random(seed)))
         assert told_by(built, CASES[name], spoilt(events, Random(seed))) == plain
         assert len(plain) > 100
+
+
+@pytest.mark.usefixtures("built")
+def test_telemetry_and_setpoints_run_without_a_frame_of_python() -> None:
+    """A frame costs more than all that it does: the first one of a thread that wakes maps its stack anew."""
+    autopilot, wire = mavlink.MAVLink(None, 1, 1), Wire()
+    link = twin(VehicleLink)(VehicleSettings(), wire)
+    heard = (
+        mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, 128, 393216, 4, 3),
+        mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.5, 0.0, 0.0, 0.1),
+        mavlink.MAVLink_local_position_ned_message(1, 1.0, 2.0, -3.0, 0.1, 0.2, 0.3),
+        mavlink.MAVLink_current_mode_message(0, 393216, 393216),
+        mavlink.MAVLink_extended_sys_state_message(0, 2),
+        mavlink.MAVLink_attitude_quaternion_message(1, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),  # not heard
+    )
+    wire.incoming = [bytes(message.pack(autopilot)) for message in heard]
+    clock = repeat(0).__next__
+    frames: list[str] = []
+
+    def see(frame: FrameType, what: str, _: object) -> None:
+        if what == "call" and frame.f_code.co_qualname not in ("Wire.receive", "Wire.send"):
+            frames.append(frame.f_code.co_qualname)
+
+    sys.setprofile(see)
+    try:
+        events = list(link.receive(clock))
+        link.send(Setpoint(1, 0.5, 0.1, 0.0, 3.0, 0.0))
+    finally:
+        sys.setprofile(None)
+    assert len(events) == 5 and len(wire.sent) == 1
+    assert frames == []
 
 
 def test_the_rewritten_source_says_what_the_source_says(

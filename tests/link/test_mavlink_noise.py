@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import random
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion import pilot
+from companion.compiled import twin
 from companion.link.ground_station import GroundStation
 from companion.link.mavlink import VehicleLink
 from companion.link.survey import VehicleSurvey
@@ -64,11 +67,11 @@ def packet(rnd: random.Random) -> bytes:
     return bytes(whole[: rnd.randrange(len(whole))] if rnd.random() < 0.05 else whole)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_no_packet_crashes_a_flight_or_a_check(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "form"), [(1, lambda plain: plain), (2, twin)], ids=["plain", "compiled"])
+def test_no_packet_crashes_a_flight_or_a_check(seed: int, form: Callable[[Any], Any]) -> None:
     rnd, settings = random.Random(seed), Settings()
     flying, looking = Wire(), Wire()
-    link = VehicleLink(settings.vehicle, flying, ground=GroundStation(settings))
+    link = form(VehicleLink)(settings.vehicle, flying, ground=form(GroundStation)(settings))
     survey = VehicleSurvey(settings.vehicle, looking)
     plan = pilot.plan(settings)
     state = pilot.initial(plan)
@@ -78,7 +81,7 @@ def test_no_packet_crashes_a_flight_or_a_check(seed: int) -> None:
         flying.incoming += came
         looking.incoming += came
         t_ns += 10_000_000
-        for event in link.receive(lambda now=t_ns: now):  # type: ignore[misc]
+        for event in link.receive(lambda now=t_ns: now):
             defects |= {event.defect} if isinstance(event, Malformed) else set()
             state, outputs = pilot.step(plan, state, event)
             for output in outputs:

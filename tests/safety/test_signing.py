@@ -27,7 +27,6 @@ from companion.link.signing import (
     SigningError,
     Timestamps,
     Unsigned,
-    is_signed,
     read_key,
 )
 
@@ -108,7 +107,7 @@ def test_a_holder_of_the_key_is_believed(vehicle: Party, ours: Party) -> None:
         message = ours.hear(vehicle.say())
         assert message.get_type() == "HEARTBEAT"
         assert message.custom_mode == OFFBOARD
-        assert is_signed(message)
+        assert message.get_signed()
 
 
 def test_pymavlinks_own_signing_understands_ours(vehicle: Party) -> None:
@@ -168,7 +167,7 @@ def test_unsigned_packets_by_policy(tmp_path: Path, ours: Party) -> None:
     lenient = Party(tmp_path / "lenient", unsigned=Unsigned.ACCEPT)
     message = lenient.hear(plain_heartbeat())
     assert message.get_type() == "HEARTBEAT"
-    assert not is_signed(message)  # the link believes no mode of it
+    assert not message.get_signed()  # the link believes no mode of it
     lenient.mav.close()
 
 

@@ -1,0 +1,137 @@
+"""What is packed and read without pymavlink is what pymavlink packs and reads."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from fastcrc.crc16 import mcrf4xx
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import development as mavlink
+from pymavlink.generator.mavcrc import x25crc_slow
+
+from companion.compiled import twin
+from companion.link.packets import SetPositionTarget, packets
+from tests.safety.test_check import KEY
+
+BYTE = st.integers(0, 255)
+SINGLE = st.floats(width=32)
+FORMS = ("plain", "compiled")
+
+
+def peer() -> Any:
+    mav = mavlink.MAVLink(None, srcSystem=7, srcComponent=191)
+    mav.robust_parsing = True
+    return mav
+
+
+@given(st.binary(max_size=270))
+def test_the_checksum_is_mavlinks(data: bytes) -> None:
+    assert mcrf4xx(data) == x25crc_slow(data).crc
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
+@pytest.mark.parametrize("form", [SetPositionTarget, twin(SetPositionTarget)], ids=FORMS)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.lists(SINGLE, min_size=5, max_size=5),
+    st.integers(0, 2**16 - 1),
+    BYTE,
+    BYTE,
+    BYTE,
+)
+def test_a_setpoint_has_the_bytes_that_pymavlink_gives_it(
+    form: Any,
+    key: bytes | None,
+    t_ms: int,
+    numbers: list[float],
+    mask: int,
+    system: int,
+    frame: int,
+    seq: int,
+) -> None:
+    made = []
+    z, vx, vy, vz, yaw_rate = numbers
+    velocity, unused = (vx, vy, vz), (0.0, 0.0, 0.0, 0.0)
+    for message in (
+        form(t_ms, *numbers, mask, system, frame),
+        mavlink.MAVLink_set_position_target_local_ned_message(
+            t_ms, system, 1, frame, mask, 0.0, 0.0, z, *velocity, *unused, yaw_rate
+        ),
+    ):
+        mav = peer()
+        mav.seq, mav.signing.secret_key, mav.signing.sign_outgoing = seq, key, key is not None
+        made.append(bytes(message.pack(mav)))
+    assert made[0] == made[1]
+
+
+READ = (
+    mavlink.MAVLink_attitude_message,
+    mavlink.MAVLink_current_mode_message,
+    mavlink.MAVLink_extended_sys_state_message,
+    mavlink.MAVLink_heartbeat_message,
+    mavlink.MAVLink_local_position_ned_message,
+)
+"""What is read without pymavlink."""
+NAMES = frozenset(kind.msgname for kind in mavlink.mavlink_map.values())
+
+
+@pytest.mark.parametrize("form", [packets, twin(packets)], ids=FORMS)
+@pytest.mark.parametrize("kind", READ)
+@given(st.binary(min_size=28, max_size=28), st.integers(1, 40), BYTE, BYTE)
+def test_telemetry_reads_as_pymavlink_reads_it(
+    kind: Any, form: Any, content: bytes, length: int, system: int, component: int
+) -> None:
+    """Whole, with zeros left out at its end, and longer than we know it."""
+    payload = content.ljust(length, b"\1")[:length]
+    message = kind(*[0] * len(kind.fieldnames))
+    data = bytes(message._pack(mavlink.MAVLink(None, system, component), kind.crc_extra, payload))
+    (ours,), (theirs,) = form(peer(), data, {kind.msgname}), peer().parse_buffer(data)
+    assert (ours.name, ours.number) == (theirs.get_type(), theirs.get_msgId())
+    assert (ours.system, ours.component) == (theirs.get_srcSystem(), theirs.get_srcComponent())
+    assert (ours.data, ours.is_signed) == (bytes(theirs.get_msgbuf()), False)
+    for name in kind.fieldnames:
+        a, b = getattr(ours.fields, name), getattr(theirs, name)
+        assert a == b or (math.isnan(a) and math.isnan(b))
+
+
+AUTOPILOT = mavlink.MAVLink(None, 1, 1)
+STREAM = b"".join(bytes(kind(*[1] * len(kind.fieldnames)).pack(AUTOPILOT)) for kind in READ) * 3
+
+
+@pytest.mark.parametrize("form", [packets, twin(packets)], ids=FORMS)
+@given(
+    st.lists(st.integers(0, len(STREAM)), max_size=20),
+    st.lists(st.tuples(st.integers(0, len(STREAM) - 1), BYTE), max_size=4),
+)
+def test_a_torn_and_damaged_stream_reads_as_pymavlink_reads_it(
+    form: Any, cuts: list[int], damages: list[tuple[int, int]]
+) -> None:
+    stream = bytearray(STREAM)
+    for where, bits in damages:
+        stream[where] ^= bits
+    ours, theirs = peer(), peer()
+    bounds = sorted({0, *cuts, len(STREAM), *(len(STREAM) // 3 * n for n in (1, 2))})
+    for begin, end in pairwise(bounds):
+        part = bytes(stream[begin:end])
+        read = [(p.name, p.data) for p in form(ours, part, NAMES)]
+        assert read == [(m.get_type(), bytes(m.get_msgbuf())) for m in theirs.parse_buffer(part) or ()]
+
+
+@pytest.mark.parametrize("form", [packets, twin(packets)], ids=FORMS)
+def test_what_nobody_hears_is_not_read_but_damage_is_told(form: Any) -> None:
+    attitude = bytes(mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.5, 0.0, 0.0, 0.1).pack(AUTOPILOT))
+    assert form(peer(), attitude, {"HEARTBEAT"}) == ()
+    damaged = attitude[:20] + bytes((attitude[20] ^ 1,)) + attitude[21:]
+    assert [p.name for p in form(peer(), damaged, {"HEARTBEAT"})] == ["BAD_DATA"]
+
+
+@pytest.mark.parametrize("form", [packets, twin(packets)], ids=FORMS)
+def test_where_there_is_a_key_a_packet_without_a_signature_is_not_read(form: Any) -> None:
+    mav = peer()
+    mav.signing.secret_key = KEY
+    (refused,) = form(mav, STREAM[: 12 + STREAM[1]], NAMES)
+    assert refused.name == "BAD_DATA"
