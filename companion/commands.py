@@ -34,14 +34,16 @@ class UsageError(Exception):
 
 def fly(args: argparse.Namespace) -> int:
     """Fly the vehicle."""
+    from companion.compiled import twin
     from companion.fly import fly
-    from companion.record import Recorder, start_now
+    from companion.record import start_now
+    from companion.recorder import Recorder
     from companion.view import ViewKind, open_view
 
     shadow = ["mission.shadow=true"] if args.shadow else []
     loaded = _load(args.config, _link_overrides(args) + shadow)
     path = args.record or Path("flights") / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
-    recorder = Recorder.open(path, start_now(loaded.config, loaded.digest, loaded.sources))
+    recorder = twin(Recorder).open(path, start_now(loaded.config, loaded.digest, loaded.sources))
     if args.record is not None and recorder.problem is not None:
         raise UsageError(f"--record {recorder.problem}; name another file, or leave it out")
     view = open_view(sys.stdout, ViewKind(args.view))

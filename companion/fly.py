@@ -23,7 +23,7 @@ from companion.link.zenoh_ranges import RangeLink
 from companion.link.zenoh_session import words
 from companion.link.zenoh_status import StatusLink
 from companion.live import Bell, Loop
-from companion.record import Recorder
+from companion.recorder import Recorder
 from companion.settings import Settings
 from companion.state import State
 from companion.summary import FlightLog, FlightReport, problem_of, report, text

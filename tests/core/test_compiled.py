@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import importlib
+import io
 import math
 import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterable, Iterator
 from importlib.machinery import EXTENSION_SUFFIXES
-from itertools import repeat
+from itertools import count, repeat
 from pathlib import Path
 from random import Random
 from types import FrameType
@@ -23,10 +26,13 @@ from companion import compiled, pilot
 from companion.bench.system.cost import configuration
 from companion.compiled import source, twin
 from companion.config import Config
+from companion.flight_writer import FlightWriter
 from companion.guidance.settings import GuidanceSettings
 from companion.link.mavlink import VehicleLink
+from companion.record import Start, start_now
+from companion.recorder import Recorder
 from companion.settings import VehicleSettings
-from companion.types import Event, Output, Setpoint
+from companion.types import Event, Output, RangeSample, Setpoint, Tick
 from sitl_mock.faults import Fault, FaultAt
 from sitl_mock.scenario import Scenario
 from sitl_mock.world import World
@@ -132,10 +138,11 @@ def test_both_forms_make_the_same_of_strange_events(name: str, built: Any) -> No
 
 
 @pytest.mark.usefixtures("built")
-def test_telemetry_and_setpoints_run_without_a_frame_of_python() -> None:
+def test_telemetry_setpoints_and_record_run_without_a_frame_of_python() -> None:
     """A frame costs more than all that it does: the first one of a thread that wakes maps its stack anew."""
     autopilot, wire = mavlink.MAVLink(None, 1, 1), Wire()
     link = twin(VehicleLink)(VehicleSettings(), wire)
+    recorder = twin(Recorder)(None, start_now(VehicleSettings(), "", {}), "none")
     heard = (
         mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, 128, 393216, 4, 3),
         mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.5, 0.0, 0.0, 0.1),
@@ -156,10 +163,71 @@ def test_telemetry_and_setpoints_run_without_a_frame_of_python() -> None:
     try:
         events = list(link.receive(clock))
         link.send(Setpoint(1, 0.5, 0.1, 0.0, 3.0, 0.0))
+        recorder.write(Tick(1))
     finally:
         sys.setprofile(None)
     assert len(events) == 5 and len(wire.sent) == 1
     assert frames == []
+
+
+class HeldDisk:
+    """Takes nothing until it is released: all of a flight waits then, and its chunks depend on no clock."""
+
+    def __init__(self) -> None:
+        self.data = b""
+        self.released = threading.Event()
+
+    def write(self, data: bytes, /) -> int:
+        self.released.wait()
+        self.data += data
+        return len(data)
+
+    def close(self) -> None:
+        pass
+
+
+def recorded(form: type[Recorder], start: Start, items: list[Event | Output]) -> bytes:
+    disk = HeldDisk()
+    recorder = form(disk, start, "disk")
+    for item in items:
+        recorder.write(item)
+    recorder.close(patience_s=0.0)
+    disk.released.set()
+    recorder.close()
+    assert recorder.problem is None
+    return disk.data
+
+
+def laid_out(form: type[FlightWriter], start: Start, items: list[Event | Output]) -> bytes:
+    stream = io.BytesIO()
+    writer = form(stream, start)
+    for number, item in enumerate(items):
+        if number == 500:
+            writer.say_lost(item.t_ns, 7)
+            writer.flush()
+        writer.add(number if number < 500 else number + 7, item, item.t_ns + number)
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.usefixtures("built")
+def test_both_forms_record_the_same_byte_for_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+    start = start_now(CASES["station"], "digest", {})
+    flown = flight(CASES["station"], 5, pilot, twin(World))
+    items: list[Event | Output] = []
+    for event, outputs in flown:
+        items.append(event)
+        items.extend(outputs)
+    t_ns = flown[0][0].t_ns
+    items[1:1] = [RangeSample(t_ns, f"made up {n}", "", n, 1.0, sent_t_ns=n) for n in range(70)]
+    items.append(Tick(t_ns=-(2**62)))  # before 1970
+    assert twin(FlightWriter) is not FlightWriter and twin(Recorder) is not Recorder
+    assert laid_out(twin(FlightWriter), start, items) == laid_out(FlightWriter, start, items)
+    files = []
+    for form in (Recorder, twin(Recorder)):
+        monkeypatch.setattr(time, "monotonic_ns", count(t_ns).__next__)
+        files.append(recorded(form, start, items))
+    assert files[0] == files[1] and len(files[0]) > 100_000
 
 
 def test_the_rewritten_source_says_what_the_source_says(

@@ -22,7 +22,8 @@ CORE = set(ORDER)
 """The pure core, which may import only itself."""
 EDGES = {
     "link", "live", "view", "lines", "panel", "summary", "range_message", "wire_range", "wire_status",
-    "record", "recording", "replay", "mcap_writer", "foxglove", "uwb",
+    "record", "flight_writer", "recorder", "recording", "replay", "mcap_writer", "foxglove", "foxglove_views",
+    "uwb",
 }  # fmt: skip
 COMPILED = {"compiled"}
 """Which form of the core runs: the loop asks for it, the record tells it, and it needs nothing of ours."""

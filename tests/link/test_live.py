@@ -18,7 +18,8 @@ from companion import pilot
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell, Loop
-from companion.record import Recorder, start_now
+from companion.record import start_now
+from companion.recorder import Recorder
 from companion.settings import LossSettings, Settings, StatusSettings, VehicleSettings
 from companion.types import (
     CompanionHeartbeat,

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import pytest
 
+from companion.flight_writer import FlightWriter
 from companion.picture import Truth
-from companion.record import FlightWriter
 from companion.recording import Recording, read
 from companion.report import page as pages
 from companion.report.flight import Figures

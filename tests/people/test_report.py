@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from companion.cli import main
 from companion.exits import Exit
-from companion.record import FlightWriter
+from companion.flight_writer import FlightWriter
 from companion.recording import Step, read
 from companion.report import flight, page, series
 from companion.report.flight import Figures

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from companion.config import Config, Loaded
-from companion.record import FlightWriter, Start, start_now, versions
+from companion.flight_writer import FlightWriter
+from companion.record import Start, start_now, versions
 from companion.run import run
 from companion.state import State
 from companion.types import Event, Output, Phase, PhaseChange, StopRequest

@@ -20,9 +20,10 @@ from companion.foxglove import (
     Log,
     PoseInFrame,
     PosesInFrame,
-    Views,
+    View,
     viewer_schema,
 )
+from companion.foxglove_views import Views
 from companion.record import RECORDED, topic_of
 from companion.recording import read
 from companion.types import (
@@ -209,13 +210,13 @@ def status(t_s: float, x_m: float, y_m: float, heading_rad: float, estimate: Est
     )
 
 
-def views() -> Views:
-    return Views(lambda t_ns: EPOCH_NS + t_ns)
+def of(views: Views, item: Item) -> list[tuple[str, View]]:
+    return views.of(item, EPOCH_NS + item.t_ns)
 
 
 def test_the_target_on_the_right_is_drawn_on_the_right() -> None:
     estimate = Estimate(distance_m=2.0, distance_sigma_m=0.1, bearing_rad=1.5707963, bearing_sigma_rad=0.1)
-    drawn = dict(views().of(status(1.0, 1.0, 1.0, 0.0, estimate)))  # looking East: right is South
+    drawn = dict(of(Views(), status(1.0, 1.0, 1.0, 0.0, estimate)))  # looking East: right is South
     target = drawn["/target"]
     assert isinstance(target, PoseInFrame)
     assert (target.pose.position.x, target.pose.position.y) == pytest.approx((1.0, -1.0), abs=1e-3)
@@ -223,10 +224,10 @@ def test_the_target_on_the_right_is_drawn_on_the_right() -> None:
 
 
 def test_the_path_is_bounded_and_keeps_its_beginning() -> None:
-    v = views()
+    v = Views()
     path = None
     for i in range(20_000):
-        path = dict(v.of(status(i * 0.1, i * 0.2, 0.0, 0.0, None))).get("/path", path)
+        path = dict(of(v, status(i * 0.1, i * 0.2, 0.0, 0.0, None))).get("/path", path)
     assert isinstance(path, PosesInFrame)
     assert 64 <= len(path.poses) <= 256
     assert path.poses[0].position.x == 0.0 and path.poses[-1].position.x > 3_900.0
@@ -234,26 +235,26 @@ def test_the_path_is_bounded_and_keeps_its_beginning() -> None:
 
 def test_without_a_position_nothing_is_drawn() -> None:
     nowhere = msgspec.structs.replace(status(1.0, 0.0, 0.0, 0.0, None), x_m=None)
-    assert list(views().of(nowhere)) == []
+    assert of(Views(), nowhere) == []
 
 
 def test_a_phase_change_is_a_line_in_the_log() -> None:
     change = PhaseChange(
         t_ns=0, before=Phase.APPROACH, after=Phase.STALL, reason="why", severity=Severity.WARNING
     )
-    ((topic, log),) = views().of(change)
+    ((topic, log),) = of(Views(), change)
     assert topic == "/log" and isinstance(log, Log)
     assert (log.level, log.message) == (3, "approach → stall: why")
 
 
 def test_link_statistics_tell_rates_and_clock_offsets() -> None:
-    v, told = views(), []
+    v, told = Views(), []
     for i in range(401):
         t_ns = i * 5_000_000
         sent = EPOCH_NS + t_ns - 40_000_000 - (i % 4) * 1_000_000  # its clock and transport: 40 to 43 ms
         sample = RangeSample(t_ns=t_ns, beacon="b1", session="s", seq=i, range_m=5.0, sent_t_ns=sent)
         attitude = Attitude(t_ns=t_ns, heading_rad=0.0, yaw_rate_rad_s=0.0, boot_ms=7_000 + i * 5)
-        told += [view for item in (sample, attitude) for _, view in v.of(item)]
+        told += [view for item in (sample, attitude) for _, view in of(v, item)]
     first = told[0]
     assert len(told) == 2 and isinstance(first, LinkStatistics)
     assert (first.ranges, first.attitudes, first.period_s) == (200, 200, 1.0)
@@ -263,10 +264,10 @@ def test_link_statistics_tell_rates_and_clock_offsets() -> None:
 
 
 def test_a_flood_of_made_up_beacons_takes_bounded_memory() -> None:
-    v, told = views(), []
+    v, told = Views(), []
     for i in range(2_001):
         item = RangeSample(t_ns=i * 500_000, beacon=f"b{i}", session="s", seq=0, range_m=1.0)
-        told += [view for _, view in v.of(item)]
+        told += [view for _, view in of(v, item)]
     assert isinstance(told[0], LinkStatistics)
     assert len(told[0].beacons) == 64 and told[0].ranges == 2_000
 

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from companion.record import METADATA, FlightWriter, _checksum
+from companion.flight_writer import FlightWriter
+from companion.record import METADATA, _checksum
 from companion.recording import RecordError, Recording, read
 from companion.replay import replay
 from companion.types import Tick

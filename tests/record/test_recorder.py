@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from companion import record
-from companion.record import Recorder, Start
+from companion import recorder as recorder_module
+from companion.compiled import twin, why_not
+from companion.record import Start
+from companion.recorder import BACKLOG, Recorder
 from companion.recording import Recording, read
 from companion.replay import replay
 from companion.types import CompanionHeartbeat, Defect, Event, Malformed, Output, SystemStatus, Tick
@@ -32,6 +34,16 @@ def wait_for(what: Callable[[], bool]) -> None:
 @pytest.fixture(scope="module")
 def items() -> list[Item]:
     return flown()
+
+
+@pytest.fixture(params=["plain", "compiled"])
+def form(request: pytest.FixtureRequest) -> type[Recorder]:
+    """Either form of it, where both are there."""
+    if request.param == "plain":
+        return Recorder
+    if why_not() is not None:
+        pytest.skip(f"core {why_not()}")
+    return twin(Recorder)
 
 
 class FakeDisk:
@@ -97,10 +109,10 @@ def test_an_empty_flight_is_a_sound_file(tmp_path: Path) -> None:
     assert replay(recording).equal
 
 
-def test_a_record_is_never_overwritten(tmp_path: Path) -> None:
+def test_a_record_is_never_overwritten(tmp_path: Path, form: type[Recorder]) -> None:
     path = tmp_path / "f.mcap"
     path.write_text("precious")
-    with Recorder.open(path, start()) as recorder:
+    with form.open(path, start()) as recorder:
         recorder.write(Tick(t_ns=1))
         assert recorder.problem == f"{path}: File exists"
     assert path.read_text() == "precious" and recorder.lost == 1
@@ -116,8 +128,8 @@ def test_an_unwritable_place_is_told_and_the_flight_goes_on(tmp_path: Path) -> N
 # ----------------------------------------------------------------------------------------- sick disks
 
 
-def test_a_full_disk_is_told(items: list[Item]) -> None:
-    with Recorder(FileIO("/dev/full", "wb"), start(), "full") as recorder:
+def test_a_full_disk_is_told(items: list[Item], form: type[Recorder]) -> None:
+    with form(FileIO("/dev/full", "wb"), start(), "full") as recorder:
         for item in items[:100]:
             recorder.write(item)
         wait_for(lambda: recorder.problem is not None)
@@ -125,10 +137,12 @@ def test_a_full_disk_is_told(items: list[Item]) -> None:
     assert recorder.problem == "full: No space left on device; the last 100 events and outputs are missing"
 
 
-def test_a_disk_that_is_full_for_a_while_costs_nothing(tmp_path: Path, items: list[Item]) -> None:
+def test_a_disk_that_is_full_for_a_while_costs_nothing(
+    tmp_path: Path, items: list[Item], form: type[Recorder]
+) -> None:
     disk = FakeDisk()
     disk.refuse = OSError(28, "No space left on device")
-    with Recorder(disk, start(), "disk") as recorder:
+    with form(disk, start(), "disk") as recorder:
         for item in items[:500]:
             recorder.write(item)
         wait_for(lambda: disk.refusals >= 2)
@@ -143,8 +157,8 @@ def test_a_disk_that_is_full_for_a_while_costs_nothing(tmp_path: Path, items: li
 def test_a_disk_that_hangs_never_holds_the_flight_up(
     tmp_path: Path, items: list[Item], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record, "BACKLOG", 300)
-    monkeypatch.setattr(record, "_SILENT_S", 0.1)
+    monkeypatch.setattr(recorder_module, "BACKLOG", 300)
+    monkeypatch.setattr(recorder_module, "_SILENT_S", 0.1)
     disk = FakeDisk()
     with Recorder(disk, start(), "disk") as recorder:
         for item in items[:50]:
@@ -155,9 +169,9 @@ def test_a_disk_that_hangs_never_holds_the_flight_up(
         assert disk.held.wait(PATIENCE_S)
         for item in items[51:]:
             recorder.write(item)  # returns, or this test never ends
-        waiting = len(recorder._events) + len(recorder._outputs)
+        waiting = len(recorder._events.waiting) + len(recorder._outputs.waiting)
         assert waiting == 300, "bounded"
-        assert not recorder._outputs, "outputs go first"
+        assert not recorder._outputs.waiting, "outputs go first"
         wait_for(lambda: recorder.problem is not None and "has not answered" in recorder.problem)
         disk.free.set()
     assert recorder.problem is not None and "events and" in recorder.problem and "dropped" in recorder.problem
@@ -170,10 +184,23 @@ def test_a_disk_that_hangs_never_holds_the_flight_up(
     assert result.equal and result.stopped is not None and "lacks events" in result.stopped
 
 
-def test_closing_does_not_wait_for_a_disk_that_hangs(items: list[Item]) -> None:
+def test_what_waits_is_bounded_and_outputs_go_first(form: type[Recorder]) -> None:
+    recorder = form(None, start(), "none", "a test")  # without a disk nothing is ever taken
+    for n in range(30_000):
+        recorder.write(CompanionHeartbeat(t_ns=n, system_status=SystemStatus.ACTIVE))
+    for n in range(BACKLOG - 30_000):
+        recorder.write(Tick(t_ns=n))
+    assert recorder.problem == "none: a test" and recorder.lost == 0
+    for n in range(30_007):
+        recorder.write(Tick(t_ns=n))
+    assert recorder.problem == "none: a test; 7 events and 30000 outputs dropped"
+    assert recorder.lost == 30_007
+
+
+def test_closing_does_not_wait_for_a_disk_that_hangs(items: list[Item], form: type[Recorder]) -> None:
     disk = FakeDisk()
     disk.free.clear()
-    recorder = Recorder(disk, start(), "disk")
+    recorder = form(disk, start(), "disk")
     try:
         recorder.write(items[0])
         recorder.close(patience_s=0.1)
@@ -183,20 +210,20 @@ def test_closing_does_not_wait_for_a_disk_that_hangs(items: list[Item]) -> None:
         disk.free.set()
 
 
-def test_a_bug_in_the_recorder_does_not_end_the_flight() -> None:
+def test_a_bug_in_the_recorder_does_not_end_the_flight(form: type[Recorder]) -> None:
     class Unknown(Event, frozen=True, tag="unknown"):
         pass
 
-    with Recorder(FakeDisk(), start(), "disk") as recorder:
+    with form(FakeDisk(), start(), "disk") as recorder:
         recorder.write(Unknown(t_ns=1))
         wait_for(lambda: recorder.problem is not None)
         recorder.write(Tick(t_ns=2))
     assert recorder.problem is not None and "the recorder failed: KeyError" in recorder.problem
 
 
-def test_text_that_json_cannot_hold_is_counted(tmp_path: Path) -> None:
+def test_text_that_json_cannot_hold_is_counted(tmp_path: Path, form: type[Recorder]) -> None:
     disk = FakeDisk()
-    with Recorder(disk, start(), "disk") as recorder:
+    with form(disk, start(), "disk") as recorder:
         recorder.write(Tick(t_ns=1))
         recorder.write(Malformed(t_ns=2, defect=Defect.RANGE_FIELD, detail="\ud800"))
         recorder.write(Tick(t_ns=3))
@@ -210,13 +237,14 @@ def test_text_that_json_cannot_hold_is_counted(tmp_path: Path) -> None:
 CHILD = """
 import resource, sys, time
 from pathlib import Path
-from companion.record import Recorder, Start
+from companion.compiled import twin
+from companion.recorder import Recorder
 from tests.record.flights import flown, start
 path, limit = Path(sys.argv[1]), int(sys.argv[2])
 items = flown()
 if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-recorder = Recorder.open(path, start())
+recorder = twin(Recorder).open(path, start())
 for n, item in enumerate(items):
     recorder.write(item)
     if n % 20 == 0:

@@ -16,7 +16,8 @@ from companion.calibrate import CalibrationError, Fit, Group, Point, calibrate, 
 from companion.cli import main
 from companion.exits import Exit
 from companion.network_settings import BeaconSettings
-from companion.record import Recorder, start_now
+from companion.record import start_now
+from companion.recorder import Recorder
 from companion.settings import Settings
 from companion.types import LineOfSight, RangeSample
 

@@ -19,11 +19,13 @@ import companion.fly  # noqa: F401 - what a flight loads, the libraries of both 
 from companion.bench.system.cost import configuration
 from companion.bench.system.wire import rss_of
 from companion.compiled import twin
+from companion.flight_writer import FlightWriter
 from companion.link.ground_station import GroundStation
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
 from companion.network_settings import RangesSettings
-from companion.record import FLUSH_S, FlightWriter, start_now
+from companion.record import start_now
+from companion.recorder import FLUSH_S
 from companion.run import run
 from companion.summary import FlightLog
 from companion.types import Event, Output, PhaseChange, Status
@@ -54,7 +56,7 @@ def fly(minutes: float, file: io.FileIO) -> list[tuple[float, float]]:
     config = configuration(1, minutes * 60.0)
     world = twin(World)(config.sim, 1)
     pending = io.BytesIO()
-    writer = FlightWriter(pending, start_now(config, "", {}))
+    writer = twin(FlightWriter)(pending, start_now(config, "", {}))
     link = twin(VehicleLink)(config.vehicle, _Nowhere(), ground=twin(GroundStation)(config))
     log = FlightLog()
     view = open_view(io.StringIO(), ViewKind.NONE)
