@@ -85,6 +85,8 @@ class Party(Enum):
 class Verdict(Enum):
     """What became of a range."""
 
+    __hash__ = object.__hash__  # as above
+
     ACCEPTED = "accepted"
     UNKNOWN_BEACON = "unknown beacon"
     ABSURD = "absurd"
