@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from threading import Event, Thread
@@ -11,6 +12,10 @@ import zenoh
 
 from companion.link import credentials
 from companion.network_settings import RangesSettings
+
+os.environ.setdefault("ZENOH_RUNTIME", "(rx: (handover: app))")
+"""Zenoh reads this once, with the process's first session. What waits for the sockets also receives: Zenoh's
+two receiving threads are woken by that one, both for every message, and one of them finds nothing to do."""
 
 _RETRY_S = 0.1
 LEASE_MS = 2000
