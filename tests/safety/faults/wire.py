@@ -80,10 +80,15 @@ def _kill_and_start(scene: Scene) -> None:
     time.sleep(3.0)
 
 
+_STREAMED = 20
+
+
 def _kill_start_engage(scene: Scene) -> None:
     _kill_and_start(scene)
     scene.select(LOITER)
     scene.wait(lambda: scene.phase is STANDBY, "the new app is ready")
+    ready_s = time.monotonic()  # PX4 refuses OFFBOARD until setpoints have streamed for a while
+    scene.wait(lambda: len(scene.sent(ready_s)) > _STREAMED, "setpoints stream")
     scene.select(OFFBOARD)
 
 
