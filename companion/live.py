@@ -7,7 +7,6 @@ then is taken in Zenoh's own thread, there and then: to wake the main thread for
 
 from __future__ import annotations
 
-import math
 import os
 import select
 import threading
@@ -22,17 +21,20 @@ from companion.settings import Settings
 from companion.state import State
 from companion.types import Event, ModeRequest, Output, RangeVerdict, Setpoint, StopRequest, Tick
 
-TICK_NS = 25_000_000
-"""The longest time without a tick or a setpoint, a step as much as the other: resolution of timeouts
-and of the stream's minimum rate."""
-_TICK_EARLY_NS = 15_000_000
-"""When the loop is awake anyway, it ticks after this: to be woken for a tick costs more than the tick."""
+_SLEEP_MS = 25
+"""The longest sleep. It is not cut short for the next tick: ranges that are answered meanwhile put that off,
+and a third of all wakes would be for nothing. Telemetry, at the rate asked for by default, comes sooner."""
+_TICK_NS = 15_000_000
+"""Whenever the loop is awake it ticks, if there was neither a tick nor a setpoint, a step as much as the
+other, for so long. What lies between two steps, the resolution of timeouts and of the stream's minimum rate,
+is a sleep, and this on top where something woke the loop just before a tick was due: 40 ms at most. No
+timeout's default is less than ten times that."""
 _PAUSE_NS = 250_000_000
 """A loop that stood still for longer is told so first; less than any `loss.held_up_after_s`."""
 _HUNG_NS = 125_000_000
-"""A main thread whose last turn began longer ago (five ticks) hangs or was held up: ranges are left to it. It
-alone hears the telemetry, and with it the pilot who takes over. Less than `_PAUSE_NS`, so that after a pause
-the tick comes first whichever thread runs first."""
+"""A main thread whose last turn began longer ago (five sleeps) hangs or was held up: ranges are left to
+it. It alone hears the telemetry, and with it the pilot who takes over. Less than `_PAUSE_NS`, so that after
+a pause the tick comes first whichever thread runs first."""
 _NOT_TOLD = (Setpoint, ModeRequest, RangeVerdict)
 """For the vehicle and the record alone."""
 
@@ -102,7 +104,7 @@ class Loop:
         self._untold: deque[Output] = deque()
         self._bug: Exception | None = None
         self._t_turn_ns = 0
-        self._t_step_ns = -TICK_NS
+        self._t_step_ns = -_TICK_NS
         """When a tick was given, or a setpoint left, last."""
         ranges.wake = self._wake
 
@@ -114,7 +116,7 @@ class Loop:
         """What the main thread takes.
 
         A range or a telemetry message is yielded as soon as it arrives; a tick where no setpoint has left for
-        `TICK_NS`. Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause the
+        `_TICK_NS`. Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause the
         tick comes first: ranges that waited bear the times at which they came, as if there had been none.
         """
         waiting = select.poll()  # not `selectors`: its wrapping costs more than the system call
@@ -124,8 +126,7 @@ class Loop:
         self._t_turn_ns = time.monotonic_ns()
         stopped = False
         while True:
-            wait_ms = math.ceil((self._t_step_ns + TICK_NS - time.monotonic_ns()) * 1e-6)
-            ready = self._sleep(waiting, max(0, wait_ms))
+            ready = self._sleep(waiting)
             while self._untold:
                 self._tell(self._untold.popleft())
             if self._bug is not None:
@@ -143,16 +144,16 @@ class Loop:
             if self._bell.stop_asked and not stopped:
                 stopped = True
                 yield StopRequest(t_ns=now_ns)
-            if now_ns >= self._t_step_ns + _TICK_EARLY_NS:
+            if now_ns >= self._t_step_ns + _TICK_NS:
                 self._t_step_ns = now_ns
                 yield Tick(t_ns=now_ns)
 
-    def _sleep(self, waiting: select.poll, wait_ms: int) -> list[int]:
+    def _sleep(self, waiting: select.poll) -> list[int]:
         """The descriptors that are ready. The only time in which another thread may have the lock."""
         self._is_asleep = True
         self._lock.release()
         try:
-            return [descriptor for descriptor, _ in waiting.poll(wait_ms)]
+            return [descriptor for descriptor, _ in waiting.poll(_SLEEP_MS)]
         finally:
             self._lock.acquire()
             self._is_asleep = False

@@ -83,6 +83,7 @@ class Scene:
         self.bell, self.vehicle, self.ranges = Bell(), Vehicle(), Ranges()
         self.taken: list[Event] = []
         self.told: list[Output] = []
+        self.longest_ms = 0
         self._seq = 0
         self.loop = Loop(
             settings,
@@ -101,6 +102,7 @@ class Scene:
         """As a poll object."""
 
     def poll(self, wait_ms: int) -> list[tuple[int, int]]:
+        self.longest_ms = max(self.longest_ms, wait_ms)
         try:
             ready = next(self._sleeps)
         except StopIteration:
@@ -372,17 +374,21 @@ def test_a_stop_is_told_to_the_pilot_once(scene: Scene) -> None:
 
 
 def test_it_ticks_when_it_is_awake_anyway_and_otherwise_every_25_ms(scene: Scene) -> None:
+    """Within 40 ms, where something has woken it just before a tick was due."""
+
     def sleeps() -> Iterator[list[int]]:
         yield []
         for t_ms in (4, 16):
             scene.t_ms = t_ms
             scene.ranges.came.append(RangeSample(t_ms * MS, "b1", "s", t_ms, 10.0))
             yield [scene.bell.fileno()]
-        scene.t_ms = 41
-        yield []
+        for t_ms in (41, 55, 80):
+            scene.t_ms = t_ms
+            yield []
 
     scene.fly(sleeps())
-    assert [event.t_ns // MS for event in scene.taken if isinstance(event, Tick)] == [0, 16, 41]
+    assert scene.longest_ms == 25
+    assert [event.t_ns // MS for event in scene.taken if isinstance(event, Tick)] == [0, 16, 41, 80]
     assert [event.t_ns // MS for event in scene.taken if isinstance(event, RangeSample)] == [4, 16]
 
 
