@@ -133,19 +133,19 @@ def _on_attitude(p: Plan, s: State, e: Attitude) -> State:
 
 def _on_motion(p: Plan, s: State, e: LocalMotion) -> State:
     """The autopilot's position strays far less than its velocity, added up: its differences are the moves."""
-    o = s.observing
+    o, x_m, y_m = s.observing, e.x_m, e.y_m
     lag_x_m = lag_y_m = 0.0
     place = None
-    if e.x_m is not None and e.y_m is not None and math.isfinite(e.x_m + e.y_m):
-        place = (e.x_m, e.y_m)
+    if x_m is not None and y_m is not None and math.isfinite(x_m + y_m):
+        place = (x_m, y_m)
         if o.place is not None:
             dt_s = (e.t_ns - o.t_ns) * 1e-9
             c, sn = math.cos(o.heading_rad), math.sin(o.heading_rad)
             forward_m, left_m = o.motion.forward_m_s * dt_s, o.motion.left_m_s * dt_s
-            x_m = e.x_m - o.place[0] - (forward_m * c - left_m * sn)
-            y_m = e.y_m - o.place[1] - (forward_m * sn + left_m * c)
-            if math.hypot(x_m, y_m) < _POSITION_RESET_M:
-                place, lag_x_m, lag_y_m = o.place, x_m, y_m
+            off_x_m = x_m - o.place[0] - (forward_m * c - left_m * sn)
+            off_y_m = y_m - o.place[1] - (forward_m * sn + left_m * c)
+            if math.hypot(off_x_m, off_y_m) < _POSITION_RESET_M:
+                place, lag_x_m, lag_y_m = o.place, off_x_m, off_y_m
     return replace(
         s,
         vehicle=veh.on_motion(s.vehicle, e),
@@ -257,13 +257,11 @@ def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Obs
     dt_s = min((t_ns - o.t_ns) * 1e-9, _LONGEST_PREDICTION_S)
     if dt_s <= 0.0:
         return o
-    cfg = p.settings.vehicle
-    sent = None if p.settings.mission.shadow else s.steering.setpoint
-    commanded = BodyMotion() if sent is None else BodyMotion(sent.speed_m_s, 0.0, sent.yaw_rate_rad_s)
-    v, lags = s.vehicle, (cfg.velocity_lag_s, cfg.yaw_rate_lag_s)
-    motion = meanwhile = veh.body_motion(v, o.motion, commanded, t_ns, dt_s, *lags)
-    if not veh.is_measured(v, t_ns):  # where it is modelled, the motion in the middle is nearest to the mean
-        meanwhile = veh.body_motion(v, o.motion, commanded, t_ns, 0.5 * dt_s, *lags)
+    v = s.vehicle
+    if veh.is_measured(v, t_ns):
+        motion = meanwhile = BodyMotion(v.forward_m_s, v.left_m_s, v.yaw_rate_rad_s)
+    else:  # where it is modelled, the motion in the middle is nearest to the mean
+        motion, meanwhile = _modelled(p, s, t_ns, dt_s), _modelled(p, s, t_ns, 0.5 * dt_s)
     turn_rad = meanwhile.yaw_rate_rad_s * dt_s
     if turned_to is not None:
         measured_rad = math.remainder(turned_to - o.heading_rad, 2.0 * math.pi)
@@ -282,3 +280,13 @@ def predict(p: Plan, s: State, t_ns: int, turned_to: float | None = None) -> Obs
     guidance = p.scheme.predict(p.scheme.p, o.guidance, dt_s, forward_m_s, left_m_s, turn_rad / dt_s)
     flown_m = math.hypot(meanwhile.forward_m_s, meanwhile.left_m_s) * dt_s if s.phase.is_engaged else 0.0
     return Observing(guidance, t_ns, motion, o.heading_rad + turn_rad, o.path_m + flown_m, place)
+
+
+def _modelled(p: Plan, s: State, t_ns: int, dt_s: float) -> BodyMotion:
+    """The motion dt_s after the observer's own: by the setpoint sent last, as far as it is not measured."""
+    cfg = p.settings.vehicle
+    sent = None if p.settings.mission.shadow else s.steering.setpoint
+    commanded = BodyMotion() if sent is None else BodyMotion(sent.speed_m_s, 0.0, sent.yaw_rate_rad_s)
+    return veh.body_motion(
+        s.vehicle, s.observing.motion, commanded, t_ns, dt_s, cfg.velocity_lag_s, cfg.yaw_rate_lag_s
+    )

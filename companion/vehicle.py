@@ -65,28 +65,30 @@ def on_mode(v: Vehicle, e: ModeReport) -> Vehicle:
 
 def on_attitude(v: Vehicle, e: Attitude) -> Vehicle:
     """ATTITUDE."""
-    if not (math.isfinite(e.heading_rad) and math.isfinite(e.yaw_rate_rad_s)):
+    heading_rad, yaw_rate_rad_s = e.heading_rad, e.yaw_rate_rad_s
+    if not (math.isfinite(heading_rad) and math.isfinite(yaw_rate_rad_s)):
         return v
     return replace(
-        v, t_attitude_ns=e.t_ns, heading_rad=e.heading_rad, yaw_rate_rad_s=e.yaw_rate_rad_s, boot_ms=e.boot_ms
+        v, t_attitude_ns=e.t_ns, heading_rad=heading_rad, yaw_rate_rad_s=yaw_rate_rad_s, boot_ms=e.boot_ms
     )
 
 
 def on_motion(v: Vehicle, e: LocalMotion) -> Vehicle:
     """LOCAL_POSITION_NED or ODOMETRY. The velocity is kept in body axes: in a turn it changes least there."""
-    if not (math.isfinite(e.vx_m_s) and math.isfinite(e.vy_m_s)):
+    t_ns, vx_m_s, vy_m_s = e.t_ns, e.vx_m_s, e.vy_m_s
+    if not (math.isfinite(vx_m_s) and math.isfinite(vy_m_s)):
         return v
-    since_s = 0.0 if v.t_attitude_ns is None else (e.t_ns - v.t_attitude_ns) * 1e-9
+    since_s = 0.0 if v.t_attitude_ns is None else (t_ns - v.t_attitude_ns) * 1e-9
     heading = v.heading_rad + v.yaw_rate_rad_s * min(since_s, _MOTION_FRESH_NS * 1e-9)
     c, s = math.cos(heading), math.sin(heading)
     return replace(
         v,
-        t_motion_ns=e.t_ns,
+        t_motion_ns=t_ns,
         x_m=e.x_m,
         y_m=e.y_m,
         height_m=e.height_m,
-        forward_m_s=e.vx_m_s * c + e.vy_m_s * s,
-        left_m_s=e.vy_m_s * c - e.vx_m_s * s,
+        forward_m_s=vx_m_s * c + vy_m_s * s,
+        left_m_s=vy_m_s * c - vx_m_s * s,
     )
 
 

@@ -74,28 +74,36 @@ def extended_sys_state(m: Any, t_ns: int) -> Event | None:
 
 def attitude(m: Any, t_ns: int) -> Event | None:
     """ATTITUDE."""
-    if not (math.isfinite(m.yaw) and math.isfinite(m.yawspeed)):
+    yaw: float = m.yaw
+    yaw_rate: float = m.yawspeed
+    if not (math.isfinite(yaw) and math.isfinite(yaw_rate)):
         return None
     return Attitude(
         t_ns=t_ns,
-        heading_rad=heading_from_yaw(m.yaw),
-        yaw_rate_rad_s=-m.yawspeed,
+        heading_rad=heading_from_yaw(yaw),
+        yaw_rate_rad_s=-yaw_rate,
         boot_ms=m.time_boot_ms,
     )
 
 
 def local_position(m: Any, t_ns: int) -> Event | None:
     """LOCAL_POSITION_NED."""
-    if not (math.isfinite(m.vx) and math.isfinite(m.vy)):
+    vx: float = m.vx
+    vy: float = m.vy
+    if not (math.isfinite(vx) and math.isfinite(vy)):
         return None
+    x: float = m.x
+    y: float = m.y
+    z: float = m.z
+    vz: float = m.vz
     return LocalMotion(
         t_ns=t_ns,
-        x_m=m.y if math.isfinite(m.y) else None,
-        y_m=m.x if math.isfinite(m.x) else None,
-        height_m=-m.z if math.isfinite(m.z) else None,
-        vx_m_s=m.vy,
-        vy_m_s=m.vx,
-        climb_m_s=-m.vz if math.isfinite(m.vz) else 0.0,
+        x_m=y if math.isfinite(y) else None,
+        y_m=x if math.isfinite(x) else None,
+        height_m=-z if math.isfinite(z) else None,
+        vx_m_s=vy,
+        vy_m_s=vx,
+        climb_m_s=-vz if math.isfinite(vz) else 0.0,
         boot_ms=m.time_boot_ms,
     )
 

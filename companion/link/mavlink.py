@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import msgspec
 from pymavlink.dialects.v20 import development as mavlink
 
 from companion.link.decode import WORDS, decoders, heading_from_yaw
@@ -20,7 +21,7 @@ from companion.link.ground_station import GroundStation
 from companion.link.modes import DIALECTS, STEERING, message_id, wanted_rates
 from companion.link.packets import Packet, SetPositionTarget, packets
 from companion.link.signing import REFUSALS, SignedMavlink
-from companion.link.transport import ECHOES, Transport, is_from_peer, open_transport, settle
+from companion.link.transport import ECHOES, Transport, has_more, is_from_peer, open_transport, settle
 from companion.settings import VehicleSettings
 from companion.types import (
     CompanionHeartbeat,
@@ -45,6 +46,13 @@ _SIGNED_ONLY = frozenset({"HEARTBEAT", "CURRENT_MODE"})
 
 _TURN_NS = 20_000_000
 """So long is read at a time."""
+
+
+class _Wanted(msgspec.Struct):
+    """A message that is asked for: how often, and how often it came since that was looked at."""
+
+    hz: float
+    count: int = 0
 
 
 class VehicleLink:
@@ -74,8 +82,7 @@ class VehicleLink:
         self._dialect = DIALECTS[settings.kind]
         self._decoders = decoders(self._dialect, self._target_system)
         self._heard = frozenset({*self._decoders, *WORDS, *STEERING})
-        self._wanted_hz = {message_id(name): hz for name, hz in wanted_rates(settings).items()}
-        self._counts = dict.fromkeys(self._wanted_hz, 0)
+        self._wanted = {message_id(name): _Wanted(hz) for name, hz in wanted_rates(settings).items()}
         self._t_counted_ns = 0
         self._is_from_peer = False
         self._sent: deque[bytes] = deque(maxlen=ECHOES)
@@ -102,15 +109,20 @@ class VehicleLink:
     # --------------------------------------------------------------------------------------- receiving
 
     def receive(self, clock: Callable[[], int] = time.monotonic_ns) -> Iterator[Event]:
-        """What has come since, as events. Of a flood the rest waits: the loop has other things to do."""
-        began_ns = t_ns = clock()
-        while t_ns - began_ns < _TURN_NS and (data := self._transport.receive()):
+        """What has come since, as events. Of a flood the rest waits: the loop has other things to do.
+
+        Best called when the descriptor is ready.
+        """
+        began_ns = clock()
+        while data := self._transport.receive():
             t_ns = clock()
             self._is_from_peer = is_from_peer(self._transport, t_ns)
             for packet in packets(self._mav, data, self._heard):
                 event = self._event(packet, t_ns)
                 if event is not None:
                     yield event
+            if t_ns - began_ns >= _TURN_NS or not has_more(self._transport):
+                return
 
     def _event(self, p: Packet, t_ns: int) -> Event | None:
         m = p.fields
@@ -135,8 +147,9 @@ class VehicleLink:
             return None if words is None or self._target_system == 0 else words(m, t_ns)
         if self._target_system == 0 and not is_heartbeat:
             return None
-        if p.number in self._counts:
-            self._counts[p.number] += 1
+        wanted = self._wanted.get(p.number)
+        if wanted is not None:
+            wanted.count += 1
         if is_heartbeat and self._target_system:  # asked of system 0, everybody would answer
             self._ask_for_telemetry(t_ns)
         event = decode(m, t_ns)
@@ -180,11 +193,11 @@ class VehicleLink:
         since_s = (t_ns - self._t_counted_ns) * 1e-9
         if since_s < 0.5:
             return
-        for number, wanted_hz in self._wanted_hz.items():
-            rate_hz = self._counts[number] / since_s
-            if not 0.7 * wanted_hz <= rate_hz <= 1.5 * wanted_hz:
-                self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / wanted_hz)
-            self._counts[number] = 0
+        for number, wanted in self._wanted.items():
+            rate_hz = wanted.count / since_s
+            if not 0.7 * wanted.hz <= rate_hz <= 1.5 * wanted.hz:
+                self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / wanted.hz)
+            wanted.count = 0
         self._t_counted_ns = t_ns
 
     # ----------------------------------------------------------------------------------------- sending

@@ -19,7 +19,9 @@ from pymavlink.dialects.v20 import development as mavlink
 _V2 = 0xFD
 _HEADER = struct.Struct("<BBBBBBBHB")
 _CHECKSUM = struct.Struct("<H")
-_FRAME_BYTES = _HEADER.size + _CHECKSUM.size
+_HEADER_BYTES = 10
+_FRAME_BYTES = 12
+"""Header and checksum."""
 
 _FIELDS = {
     kind.id: namedtuple(kind.msgname, kind.ordered_fieldnames)
@@ -32,6 +34,33 @@ _FIELDS = {
     )
 }
 """By number, what is read here: it comes often, and has neither arrays nor texts."""
+
+
+class _Kind(msgspec.Struct, frozen=True):
+    """A message as pymavlink knows it, looked up once."""
+
+    name: str
+    number: int
+    seed: bytes
+    """What the checksum goes on with after the packet."""
+    fields: Any
+    """What its values are read into; None: left to pymavlink."""
+    unpack: Any
+    payload_bytes: int
+    """Zeros at its end may have been left out, and a later dialect may add to it."""
+
+
+_KINDS = {
+    kind.id: _Kind(
+        kind.msgname,
+        kind.id,
+        bytes((kind.crc_extra,)),
+        _FIELDS.get(kind.id),
+        kind.unpacker.unpack,
+        kind.unpacker.size,
+    )
+    for kind in mavlink.mavlink_map.values()
+}
 
 
 class Packet(msgspec.Struct, frozen=True):
@@ -55,25 +84,25 @@ def packets(mav: Any, data: bytes, heard: Collection[str]) -> Sequence[Packet]:
     Where a datagram is one sound packet, it is dropped unless its name is `heard`.
     """
     kind = _kind_of(mav, data)
-    if kind is not None and kind.msgname not in heard:
+    if kind is not None and kind.name not in heard:
         return ()
-    fields = None if kind is None else _FIELDS.get(kind.id)
-    if fields is None:
+    if kind is None or kind.fields is None:
         return [_parsed(message) for message in mav.parse_buffer(data) or ()]
-    size = kind.unpacker.size
-    payload = data[_HEADER.size : -_CHECKSUM.size].ljust(size, b"\0")[:size]
-    values = tuple.__new__(fields, kind.unpacker.unpack(payload))  # as `_make`, but for a call of Python
-    return (Packet(data, kind.msgname, kind.id, data[5], data[6], False, values),)
+    payload, size = data[_HEADER_BYTES:-2], kind.payload_bytes
+    if len(payload) != size:
+        payload = payload.ljust(size, b"\0")[:size]
+    values = tuple.__new__(kind.fields, kind.unpack(payload))  # as `_make`, but for a call of Python
+    return (Packet(data, kind.name, kind.number, data[5], data[6], False, values),)
 
 
-def _kind_of(mav: Any, data: bytes) -> Any:
-    """pymavlink's class for a datagram that is one sound, unsigned packet; None: let pymavlink look."""
+def _kind_of(mav: Any, data: bytes) -> _Kind | None:
+    """The message of a datagram that is one sound, unsigned packet; None: let pymavlink look."""
     if len(data) < _FRAME_BYTES or data[0] != _V2 or data[2] or len(data) != _FRAME_BYTES + data[1]:
         return None
     if mav.signing.secret_key is not None or mav.buf:  # the parser waits for the rest of a packet
         return None
-    kind = mavlink.mavlink_map.get(data[7] | data[8] << 8 | data[9] << 16)
-    if kind is None or _checksum(data[1:-2], kind) != data[-2] | data[-1] << 8:
+    kind = _KINDS.get(data[7] | data[8] << 8 | data[9] << 16)
+    if kind is None or mcrf4xx(data[1:-2] + kind.seed) != data[-2] | data[-1] << 8:
         return None
     return kind
 

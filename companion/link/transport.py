@@ -59,8 +59,6 @@ class Udp:
 
     def receive(self) -> bytes:
         """One datagram."""
-        if not self._arrived.poll(0):  # an empty socket is an exception else, which takes five times as long
-            return b""
         try:
             data, self._source = self._socket.recvfrom(_DATAGRAM_BYTES)
         except (BlockingIOError, ConnectionRefusedError):
@@ -68,6 +66,10 @@ class Udp:
         if self._answers_anybody:
             self._peer = self._source
         return data
+
+    def has_more(self) -> bool:
+        """Whether a datagram waits. An exception would tell it too, at five times the price."""
+        return bool(self._arrived.poll(0))
 
     def is_from_peer(self, t_ns: int) -> bool:
         """Whether the last datagram came from the peer's address."""
@@ -155,6 +157,11 @@ class Serial:
     def close(self) -> None:
         """Give the port back."""
         self._port.close()
+
+
+def has_more(transport: Transport) -> bool:
+    """Whether it is worth while to receive again at once. Only a datagram socket can tell."""
+    return not isinstance(transport, Udp) or transport.has_more()
 
 
 def is_from_peer(transport: Transport, t_ns: int) -> bool:
