@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 from msgspec.structs import replace
 
@@ -223,7 +223,7 @@ def _on_tick(p: Plan, s: State, e: Tick) -> State:
     return s
 
 
-_TAKE_IN: dict[type, Callable[[Plan, State, Any], State]] = {
+_TAKE_IN: Final[dict[type, Callable[[Plan, State, Any], State]]] = {
     RangeSample: _on_range,
     BeaconTold: _on_told,
     Attitude: _on_attitude,

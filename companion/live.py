@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from typing import Final
 
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
@@ -35,7 +36,7 @@ _HUNG_NS = 125_000_000
 """A main thread whose last turn began longer ago (five sleeps) hangs or was held up: ranges are left to
 it. It alone hears the telemetry, and with it the pilot who takes over. Less than `_PAUSE_NS`, so that after
 a pause the tick comes first whichever thread runs first."""
-_NOT_TOLD = (Setpoint, ModeRequest, RangeVerdict)
+_NOT_TOLD: Final = frozenset({Setpoint, ModeRequest, RangeVerdict})
 """For the vehicle and the record alone."""
 
 
@@ -123,7 +124,8 @@ class Loop:
         telemetry, rung = self._vehicle.fileno(), self._bell.fileno()
         waiting.register(telemetry, select.POLLIN)
         waiting.register(rung, select.POLLIN)
-        self._t_turn_ns = time.monotonic_ns()
+        clock = time.monotonic_ns  # looked up once
+        self._t_turn_ns = clock()
         stopped = False
         while True:
             ready = self._sleep(waiting)
@@ -131,7 +133,7 @@ class Loop:
                 self._tell(self._untold.popleft())
             if self._bug is not None:
                 raise self._bug
-            now_ns = time.monotonic_ns()
+            now_ns = clock()
             if now_ns - self._t_turn_ns > _PAUSE_NS:
                 yield Tick(t_ns=now_ns)  # critical: the pilot must see that it was held up before it steers
             self._t_turn_ns = now_ns
@@ -140,7 +142,7 @@ class Loop:
                 yield from self._ranges.receive()
             if telemetry in ready:
                 yield from self._vehicle.receive()
-            now_ns = time.monotonic_ns()
+            now_ns = clock()
             if self._bell.stop_asked and not stopped:
                 stopped = True
                 yield StopRequest(t_ns=now_ns)
@@ -188,9 +190,10 @@ class Loop:
     def _send(self, output: Output) -> None:
         """To the vehicle at once, in either thread: no transport waits. To everybody else when awake."""
         self._vehicle.send(output)
-        if isinstance(output, _NOT_TOLD):
-            if isinstance(output, Setpoint):
-                self._t_step_ns = output.t_ns
+        kind = type(output)  # `isinstance` asks its metaclass: a thousand instructions to say no
+        if kind is Setpoint:
+            self._t_step_ns = output.t_ns
+        if kind in _NOT_TOLD:
             return
         if self._is_asleep:
             self._untold.append(output)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from collections import namedtuple
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 from fastcrc.crc16 import mcrf4xx
@@ -50,7 +50,7 @@ class _Kind(msgspec.Struct, frozen=True):
     """Zeros at its end may have been left out, and a later dialect may add to it."""
 
 
-_KINDS = {
+_KINDS: Final = {
     kind.id: _Kind(
         kind.msgname,
         kind.id,
