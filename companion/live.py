@@ -13,7 +13,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Final
 
 from companion.link.mavlink import VehicleLink
 from companion.link.zenoh_ranges import RangeLink
@@ -36,8 +35,6 @@ _HUNG_NS = 125_000_000
 """A main thread whose last turn began longer ago (five sleeps) hangs or was held up: ranges are left to
 it. It alone hears the telemetry, and with it the pilot who takes over. Less than `_PAUSE_NS`, so that after
 a pause the tick comes first whichever thread runs first."""
-_NOT_TOLD: Final = frozenset({Setpoint, ModeRequest, RangeVerdict})
-"""For the vehicle and the record alone."""
 
 
 class Bell:
@@ -166,7 +163,7 @@ class Loop:
         Nothing is missed: whoever holds the lock may have looked for ranges already, but the bell rings on,
         and the main thread looks once more.
         """
-        if not self._lock.acquire(blocking=False):
+        if not self._lock.acquire(False):  # at once or not at all
             self._bell.ring()
             return
         is_done = False
@@ -189,13 +186,15 @@ class Loop:
 
     def _send(self, output: Output) -> None:
         """To the vehicle at once, in either thread: no transport waits. To everybody else when awake."""
-        self._vehicle.send(output)
         kind = type(output)  # `isinstance` asks its metaclass: a thousand instructions to say no
+        if kind is RangeVerdict:
+            return  # for the record alone; asked first, as every range has one
+        self._vehicle.send(output)
         if kind is Setpoint:
             self._t_step_ns = output.t_ns
-        if kind in _NOT_TOLD:
-            return
-        if self._is_asleep:
+        elif kind is ModeRequest:
+            return  # for the vehicle and the record alone
+        elif self._is_asleep:
             self._untold.append(output)
         else:
             self._tell(output)

@@ -6,7 +6,7 @@ Key `uwb/v1/{site}/{beacon}/{tag}/range`; the payload is JSON (encoding `applica
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -46,8 +46,8 @@ def encode(message: RangeMessage, encoding: str = JSON) -> bytes:
     return msgspec.json.encode(message) if encoding == JSON else msgspec.msgpack.encode(message)
 
 
-_from_json = msgspec.json.Decoder(RangeMessage).decode
-_from_msgpack = msgspec.msgpack.Decoder(RangeMessage).decode
+_from_json: Final = msgspec.json.Decoder(RangeMessage).decode
+_from_msgpack: Final = msgspec.msgpack.Decoder(RangeMessage).decode
 
 
 def decode(payload: bytes, encoding: str) -> RangeMessage:

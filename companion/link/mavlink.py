@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 from pymavlink.dialects.v20 import development as mavlink
@@ -38,8 +37,11 @@ from companion.types import (
 # POSITION_TARGET_TYPEMASK: a set bit means "ignore".
 _IGNORE_XY, _IGNORE_Z = 1 | 2, 4
 _IGNORE_VZ, _IGNORE_ACCELERATION, _IGNORE_YAW = 32, 64 | 128 | 256, 1024
-_MASK_HEIGHT_HELD = _IGNORE_XY | _IGNORE_VZ | _IGNORE_ACCELERATION | _IGNORE_YAW
-_MASK_VELOCITY = _IGNORE_XY | _IGNORE_Z | _IGNORE_ACCELERATION | _IGNORE_YAW
+_MASK_HEIGHT_HELD: Final = _IGNORE_XY | _IGNORE_VZ | _IGNORE_ACCELERATION | _IGNORE_YAW
+_MASK_VELOCITY: Final = _IGNORE_XY | _IGNORE_Z | _IGNORE_ACCELERATION | _IGNORE_YAW
+# MAV_FRAME.
+_LOCAL_NED = 1
+_BODY_NED = 8
 
 _SIGNED_ONLY = frozenset({"HEARTBEAT", "CURRENT_MODE"})
 """On a signed link these are believed with a verified signature only, whatever else is."""
@@ -77,6 +79,8 @@ class VehicleLink:
         self._ground = ground
         self._mav = signed or mavlink.MAVLink(None, srcComponent=settings.component_id)
         self._mav.srcSystem = settings.target_system or 1  # we are part of its system
+        self._component = settings.component_id
+        self._seq = 0
         self._mav.robust_parsing = True
         self._target_system = settings.target_system
         self._dialect = DIALECTS[settings.kind]
@@ -85,7 +89,8 @@ class VehicleLink:
         self._wanted = {message_id(name): _Wanted(hz) for name, hz in wanted_rates(settings).items()}
         self._t_counted_ns = 0
         self._is_from_peer = False
-        self._sent: deque[bytes] = deque(maxlen=ECHOES)
+        self._sent = [b""] * ECHOES
+        """By sequence number: there are as many."""
 
     @classmethod
     def open(
@@ -234,9 +239,14 @@ class VehicleLink:
     def _send(self, message: Any) -> None:
         if self._heartbeat_only and message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return  # critical: every message passes here
-        data = bytes(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256  # pack() does not
-        self._sent.append(data)
+        seq = self._seq
+        if isinstance(message, SetPositionTarget) and not self._is_signing:
+            data = message.unsigned(seq, self._target_system or 1, self._component)
+        else:
+            self._mav.seq = seq
+            data = bytes(message.pack(self._mav))
+        self._seq = (seq + 1) % 256
+        self._sent[seq] = data
         self._transport.send(data)
 
 
@@ -246,12 +256,13 @@ def setpoint_message(s: Setpoint, target_system: int) -> SetPositionTarget:
     With a height: LOCAL_NED, v_x and v_y from the measured heading, z held. Without: BODY_NED with v_z.
     """
     t_boot_ms = (s.t_ns // 1_000_000) & 0xFFFFFFFF
-    yaw_ned = heading_from_yaw(s.heading_rad)
-    if s.height_m is None:
-        frame, mask = mavlink.MAV_FRAME_BODY_NED, _MASK_VELOCITY
-        vx, vy, vz, z = s.speed_m_s, 0.0, -s.climb_m_s, 0.0
+    speed_m_s, height_m = s.speed_m_s, s.height_m
+    if height_m is None:
+        frame, mask = _BODY_NED, _MASK_VELOCITY
+        vx, vy, vz, z = speed_m_s, 0.0, -s.climb_m_s, 0.0
     else:
-        frame, mask = mavlink.MAV_FRAME_LOCAL_NED, _MASK_HEIGHT_HELD
-        vx, vy = s.speed_m_s * math.cos(yaw_ned), s.speed_m_s * math.sin(yaw_ned)
-        vz, z = 0.0, -s.height_m
+        frame, mask = _LOCAL_NED, _MASK_HEIGHT_HELD
+        yaw_ned = heading_from_yaw(s.heading_rad)
+        vx, vy = speed_m_s * math.cos(yaw_ned), speed_m_s * math.sin(yaw_ned)
+        vz, z = 0.0, -height_m
     return SetPositionTarget(t_boot_ms, z, vx, vy, vz, -s.yaw_rate_rad_s, mask, target_system, frame)

@@ -17,11 +17,20 @@ from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import development as mavlink
 
 _V2 = 0xFD
-_HEADER = struct.Struct("<BBBBBBBHB")
-_CHECKSUM = struct.Struct("<H")
 _HEADER_BYTES = 10
 _FRAME_BYTES = 12
 """Header and checksum."""
+
+# SET_POSITION_TARGET_LOCAL_NED: its number, its payload's size, the checksum's seed, to whom.
+_SETPOINT = 84
+_SETPOINT_BYTES = 53
+_SETPOINT_SEED = 143
+_AUTOPILOT = 1
+_pack_setpoint: Final = struct.Struct("<B2x3BHx I8x4f16xf H3B B").pack
+"""What the checksum is of: the header after its first byte; the payload, in which x, y, the accelerations and
+the yaw stay 0; the seed."""
+_seal_setpoint: Final = struct.Struct("<B62sH").pack
+"""The first byte, the 62 from there up to the seed, the checksum."""
 
 _FIELDS = {
     kind.id: namedtuple(kind.msgname, kind.ordered_fieldnames)
@@ -131,24 +140,19 @@ class SetPositionTarget(msgspec.Struct, frozen=True):
         return int(mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
 
     def pack(self, mav: Any) -> bytes:
-        """The packet, with pymavlink's sequence number and ids."""
-        kind = mavlink.MAVLink_set_position_target_local_ned_message
-        values = (
-            self.time_boot_ms,
-            0.0, 0.0, self.z,
-            self.vx, self.vy, self.vz,
-            0.0, 0.0, 0.0,
-            0.0, self.yaw_rate,
-            self.type_mask, self.target_system, mavlink.MAV_COMP_ID_AUTOPILOT1, self.coordinate_frame,
+        """The packet as pymavlink makes it: signed, where it signs."""
+        message = mavlink.MAVLink_set_position_target_local_ned_message(
+            self.time_boot_ms, self.target_system, mavlink.MAV_COMP_ID_AUTOPILOT1, self.coordinate_frame,
+            self.type_mask, 0.0, 0.0, self.z, self.vx, self.vy, self.vz, 0.0, 0.0, 0.0, 0.0, self.yaw_rate,
         )  # fmt: skip
-        if mav.signing.sign_outgoing:
-            return bytes(kind(**dict(zip(kind.ordered_fieldnames, values, strict=True))).pack(mav))
-        payload = kind.unpacker.pack(*values).rstrip(b"\0")  # MAVLink 2 leaves out zeros at the end
-        ids = (mav.seq, mav.srcSystem, mav.srcComponent, kind.id & 0xFFFF, kind.id >> 16)
-        packet: bytes = _HEADER.pack(_V2, len(payload), 0, 0, *ids) + payload
-        return packet + _CHECKSUM.pack(_checksum(packet[1:], kind))
+        return bytes(message.pack(mav))
 
-
-def _checksum(data: bytes, kind: Any) -> int:
-    """MAVLink's, of everything after the first byte, seeded by the message's kind."""
-    return mcrf4xx(data + bytes((kind.crc_extra,)))
+    def unsigned(self, seq: int, system: int, component: int) -> bytes:
+        """The same packet without a signature, from the system and component given. The frame is never 0:
+        MAVLink 2 would leave out zeros at the end."""
+        summed = _pack_setpoint(
+            _SETPOINT_BYTES, seq, system, component, _SETPOINT,
+            self.time_boot_ms, self.z, self.vx, self.vy, self.vz, self.yaw_rate,
+            self.type_mask, self.target_system, _AUTOPILOT, self.coordinate_frame, _SETPOINT_SEED,
+        )  # fmt: skip
+        return _seal_setpoint(_V2, summed, mcrf4xx(summed))

@@ -30,9 +30,21 @@ class Raw(msgspec.Struct, frozen=True, gc=False):
     attachment: bytes | None = None
 
 
-def range_event(raw: Raw) -> Event:
-    """One sample as a range, or as the reason why it is none. Never raises."""
-    t_ns = raw.t_ns
+class RangeReader:
+    """`range_event` for one subscription, whose ranges mostly come on one key: it remembers whose that is."""
+
+    def __init__(self) -> None:
+        self._key = self._beacon = ""
+
+    def event(self, raw: Raw) -> Event:
+        """One sample as a range, or as the reason why it is none. Never raises."""
+        if raw.key != self._key:
+            self._key, self._beacon = raw.key, wire_range.beacon_of(raw.key)
+        return range_event(raw, self._beacon)
+
+
+def range_event(raw: Raw, beacon: str | None = None) -> Event:
+    """One sample as a range, or as the reason why it is none. `beacon`, if it is known. Never raises."""
     if raw.size > wire_range.MAX_PAYLOAD_BYTES:
         return _malformed(raw, Defect.RANGE_TOO_LONG, f"{raw.size} bytes")
     try:
@@ -43,9 +55,10 @@ def range_event(raw: Raw) -> Event:
         return _malformed(raw, Defect.RANGE_PAYLOAD, error)
     except ValueError as error:
         return _malformed(raw, Defect.RANGE_ENCODING, error)
-    if m.status is not None and m.status.lower() not in _GOOD:
-        return _malformed(raw, Defect.RANGE_STATUS, m.status)
-    return _sample(t_ns, wire_range.beacon_of(raw.key), m)
+    status = m.status
+    if status is not None and status.lower() not in _GOOD:
+        return _malformed(raw, Defect.RANGE_STATUS, status)
+    return _sample(raw.t_ns, wire_range.beacon_of(raw.key) if beacon is None else beacon, m)
 
 
 def ros2_event(topic: Ros2Settings, raw: Raw) -> Event:

@@ -11,17 +11,18 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import partial
+from typing import Final
 
 import zenoh
 
 from companion import wire_range
 from companion.link.range_events import (
     MAX_ATTACHMENT_BYTES,
+    RangeReader,
     Raw,
     info_event,
-    range_event,
     ros2_event,
 )
 from companion.link.zenoh_session import Opener
@@ -29,6 +30,7 @@ from companion.network_settings import RangesSettings
 from companion.types import Defect, Event, Malformed
 from companion.uwb import ros2
 
+_ZENOH_JSON: Final = zenoh.Encoding.APPLICATION_JSON
 _BACKLOG = 64
 """Samples that wait at a door at most; the oldest give way. At 50 Hz that is more than a second."""
 _FLOOD = 5.0
@@ -51,9 +53,16 @@ class Door:
     """Where the samples of one subscription come in."""
 
     def __init__(
-        self, key: str, max_rate_hz: float, is_for_many: bool, to_event: Callable[[Raw], Event]
+        self,
+        key: str,
+        max_rate_hz: float,
+        is_for_many: bool,
+        to_event: Callable[[Raw], Event],
+        reads_attachments: bool = False,
     ) -> None:
+        """`reads_attachments`: `to_event` does."""
         self.key = key
+        self.reads_attachments = reads_attachments
         self.is_for_many = is_for_many
         self._to_event = to_event
         self._most = _BACKLOG * (_MANY if is_for_many else 1)
@@ -80,8 +89,8 @@ class Door:
         """Nothing waits, and nothing is to be told."""
         return not self._raw and self._dropped + self._pushed_out == self._told
 
-    def receive(self, now_ns: int) -> list[Event]:
-        """What has come since, as far as the rate allows: of more, the newest."""
+    def receive(self, now_ns: int, into: list[Event]) -> None:
+        """Append what has come since, as far as the rate allows: of more, the newest."""
         count = len(self._raw)
         if self._t_ns is not None:
             more = (now_ns - self._t_ns) * 1e-9 * self._max_rate_hz
@@ -92,7 +101,8 @@ class Door:
         for _ in range(count - take):
             self._raw.popleft()
         self._dropped += count - take
-        return [self._to_event(self._raw.popleft()) for _ in range(take)]
+        for _ in range(take):
+            into.append(self._to_event(self._raw.popleft()))
 
     def flood(self, now_ns: int) -> Malformed | None:
         """What was dropped, told now and then."""
@@ -129,11 +139,11 @@ class RangeLink:
         self._beacons = tuple(beacons)
         for beacon in self._beacons:
             key = wire_range.range_key(settings.site, beacon, settings.tag)
-            self._doors.append(Door(key, settings.max_rate_hz, "*" in beacon, range_event))
+            self._doors.append(Door(key, settings.max_rate_hz, "*" in beacon, RangeReader().event))
         for topic in settings.ros2:
             key = ros2.subscription(ros2.Bridge(topic.bridge), topic.topic, topic.domain)
             to_event = partial(ros2_event, topic)
-            self._doors.append(Door(key, settings.max_rate_hz, "*" in topic.topic, to_event))
+            self._doors.append(Door(key, settings.max_rate_hz, "*" in topic.topic, to_event, True))
         for door in self._doors:
             zenoh.KeyExpr(door.key)  # raises here, not in the thread that opens the session
         # Not with a wildcard: a module tells several beacons at once, and Zenoh would let through the first.
@@ -175,7 +185,7 @@ class RangeLink:
 
     def _note(self, door: Door, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: no logging, no waiting."""
-        door.note(_raw(sample))
+        door.note(_raw(sample, door.reads_attachments))
         self.wake()
 
     def _ask(self, session: zenoh.Session, token: zenoh.Sample) -> None:
@@ -193,25 +203,26 @@ class RangeLink:
     def _note_answer(self, reply: zenoh.Reply) -> None:
         """In Zenoh's thread."""
         if reply.ok is not None:
-            raw = _raw(reply.ok)
+            raw = _raw(reply.ok, False)
             self._answered |= {raw.key.split("/")[-2]} & set(self._beacons)
             self._told.append(raw)
             self.wake()
 
-    def receive(self, clock: Callable[[], int] = time.monotonic_ns) -> Iterator[Event]:
+    def receive(self, clock: Callable[[], int] = time.monotonic_ns) -> list[Event]:
         """Everything that has come since, as events, in order."""
-        for _ in range(len(self._told)):
-            yield info_event(self._told.popleft())
+        told: list[Event] = [info_event(self._told.popleft()) for _ in range(len(self._told))]
         now_ns = clock()
-        doors = [door for door in self._doors if not door.is_quiet()]
-        came = [event for door in doors for event in door.receive(now_ns)]
+        came: list[Event] = []
+        floods: list[Event] = []
+        for door in self._doors:
+            if not door.is_quiet():
+                door.receive(now_ns, came)
+                flood = door.flood(now_ns)
+                if flood is not None:
+                    floods.append(flood)
         if len(came) > 1:
             came.sort(key=_t_ns)
-        yield from came
-        for door in doors:
-            flood = door.flood(now_ns)
-            if flood is not None:
-                yield flood
+        return told + came + floods if told or floods else came
 
     @property
     def session(self) -> zenoh.Session | None:
@@ -237,13 +248,15 @@ def _t_ns(event: Event) -> int:
     return event.t_ns
 
 
-def _raw(sample: zenoh.Sample) -> Raw:
+def _raw(sample: zenoh.Sample, with_attachment: bool) -> Raw:
     """As it came, now; what is too long to be a range is not copied."""
     t_ns = time.monotonic_ns()
-    payload, attachment = sample.payload, sample.attachment
+    payload, encoding = sample.payload, sample.encoding
     size = len(payload)
     data = payload.to_bytes() if size <= wire_range.MAX_PAYLOAD_BYTES else b""
     told = None
-    if attachment is not None:
+    if with_attachment and (attachment := sample.attachment) is not None:
         told = attachment.to_bytes() if len(attachment) <= MAX_ATTACHMENT_BYTES else b""
-    return Raw(t_ns, str(sample.key_expr), data, size, str(sample.encoding), told)
+    # The usual one is known at a look; to make its text would take five times as long.
+    said = wire_range.JSON if encoding == _ZENOH_JSON else str(encoding)
+    return Raw(t_ns, str(sample.key_expr), data, size, said, told)

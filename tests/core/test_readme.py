@@ -119,7 +119,7 @@ def test_the_publisher_publishes() -> None:
         link = RangeLink(RangesSettings(connect=(f"tcp/127.0.0.1:{port}",)), heard.set)
         try:
             assert heard.wait(20.0)
-            event = next(link.receive())
+            (event, *_) = link.receive()
         finally:
             publisher.kill()
             link.close()

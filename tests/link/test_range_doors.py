@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from companion.link.range_events import Raw
+from companion.link.range_events import RangeReader, Raw
 from companion.link.zenoh_ranges import Door
-from companion.types import Defect, Event, Malformed
+from companion.types import Defect, Event, Malformed, RangeSample
 
 S = 1_000_000_000
 KEY = "uwb/v1/lab/b1/tag/range"
@@ -19,7 +19,9 @@ def event(r: Raw) -> Event:
 
 
 def numbers(door: Door, now_ns: int) -> list[int]:
-    return [int(e.detail) for e in door.receive(now_ns) if isinstance(e, Malformed)]
+    came: list[Event] = []
+    door.receive(now_ns, came)
+    return [int(e.detail) for e in came if isinstance(e, Malformed)]
 
 
 def test_ranges_at_their_pace_pass() -> None:
@@ -59,3 +61,13 @@ def test_a_door_for_many_beacons_lets_more_in() -> None:
     for k in range(1000):
         door.note(raw(k))
     assert numbers(door, S) == list(range(1000))
+
+
+def test_each_range_is_its_own_beacons_whichever_came_before() -> None:
+    read, came = RangeReader().event, []
+    for k, beacon in enumerate(("b1", "b1", "b2", "b1", "*")):
+        payload = b'{"session": "s", "seq": %d, "range_m": 3.5}' % k
+        event = read(Raw(k, f"uwb/v1/lab/{beacon}/tag/range", payload, len(payload), "application/json"))
+        assert isinstance(event, RangeSample)
+        came.append(event.beacon)
+    assert came == ["b1", "b1", "b2", "b1", "*"]
