@@ -3,14 +3,15 @@
 mypyc compiles typed Python. What it cannot make fast are msgspec's Structs, whose fields it reaches as any
 Python would. So each Struct of the modules below becomes a plain class of the same fields, and `replace` of
 one a copy with other values; a NamedTuple is made by C alone, not by its own Python function; numbers of a
-module become constants, and members of imported enums too, since to look one up takes longer than most calls.
-Every other statement stays as it is written: the second copy of the core is one that a build makes and throws
-away.
+module become constants, and members of imported enums and modules too, and functions of `math`, since to look
+one up takes longer than most calls. Every other statement stays as it is written: the second copy of the core
+is one that a build makes and throws away.
 """
 
 from __future__ import annotations
 
 import ast
+import math
 from pathlib import Path
 from typing import TypeGuard
 
@@ -123,6 +124,9 @@ def made_from() -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
+_FUNCTIONS = frozenset({"acos", "asin", "atan", "atan2", "dist", "hypot", "remainder"})
+"""Those of `math` that the compiler does not turn into C by itself."""
+
 _Tuples = dict[tuple[str, str], list[tuple[str, ast.expr | None]]]
 """Module and name of every NamedTuple → its fields and their defaults."""
 
@@ -158,7 +162,7 @@ class _Rewriter(ast.NodeTransformer):
         ]
 
     def visit_Module(self, node: ast.Module) -> ast.Module:
-        """The future, what the rewriting needs, the imports, members of enums, and the rest."""
+        """The future, what the rewriting needs, the imports, what is looked up but once, and the rest."""
         self._imported = {
             alias.asname or alias.name
             for n in node.body
@@ -175,15 +179,20 @@ class _Rewriter(ast.NodeTransformer):
         return ast.Module(body, [])
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
-        """`Phase.HOLD` → `_Phase_HOLD`."""
+        """`Phase.HOLD` → `_Phase_HOLD`, `phase.STEERED` → `_phase_STEERED`, `math.hypot` → `_math_hypot`."""
         self.generic_visit(node)
         match node:
+            case ast.Attribute(value=ast.Name(id="math"), attr=member) if member in _FUNCTIONS:
+                return self._member(node, "math", member)
             case ast.Attribute(value=ast.Name(id=name), attr=member) if (
-                name in self._imported and name[0].isupper() and not name.isupper() and member.isupper()
+                name in self._imported and not name.isupper() and member.isupper()
             ):
-                self._members[f"_{name}_{member}"] = node
-                return ast.Name(f"_{name}_{member}")
+                return self._member(node, name, member)
         return node
+
+    def _member(self, node: ast.Attribute, of: str, name: str) -> ast.expr:
+        self._members[f"_{of}_{name}"] = node
+        return ast.Name(f"_{of}_{name}")
 
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
         self.generic_visit(node)
@@ -191,15 +200,17 @@ class _Rewriter(ast.NodeTransformer):
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
         """`replace(s, phase=x)` → `s.but().but_phase(x)`, which mypyc calls directly; `Gains(1.0, k2=x)` →
-        `tuple.__new__(Gains, (1.0, x))`."""
+        `tuple.__new__(Gains, (1.0, x))`; `math.isfinite(x)` → `abs(x) < inf`, which is C."""
         self.generic_visit(node)
         fields = self._tuples.get(ast.unparse(node.func))
         if fields is not None and not any(isinstance(a, ast.Starred) for a in node.args):
             named = {k.arg: k.value for k in node.keywords}
             rest = [named.get(name, value) for name, value in fields[len(node.args) :]]
             values = [*node.args, *(value for value in rest if value is not None)]
-            new = ast.Attribute(ast.Name("tuple"), "__new__")
+            new = self._member(ast.Attribute(ast.Name("tuple"), "__new__"), "tuple", "new")
             return ast.Call(new, [node.func, ast.Tuple(values)], [])
+        if ast.unparse(node.func) == "math.isfinite":
+            return ast.Compare(ast.Call(ast.Name("abs"), node.args, []), [ast.Lt()], [ast.Constant(math.inf)])
         names = {k.arg for k in node.keywords}
         if not _is_replace(node) or not any(names <= fields for fields in self._structs):
             return node
