@@ -20,7 +20,7 @@ class FlightWriter:
     """
 
     def __init__(self, stream: io.BytesIO | io.BufferedWriter, start: Start) -> None:
-        self._from_local_ns = start.unix_ns - start.monotonic_ns
+        self._start = start
         self.number = 0
         """The next event's or output's, where none is missing."""
         self._views = Views()
@@ -50,22 +50,18 @@ class FlightWriter:
         """
         self.number = number + 1
         data = self._encoder.encode(item)
-        unix_ns = self._unix_ns(item.t_ns)
-        publish_ns = unix_ns if noted_ns is None else self._unix_ns(noted_ns)
+        unix_ns = self._start.unix_of(item.t_ns)
+        publish_ns = unix_ns if noted_ns is None else self._start.unix_of(noted_ns)
         self._mcap.add_message(self._channels[type(item)], unix_ns, data, publish_ns, number)
         for topic, view in self._views.of(item, unix_ns):
             self._view(topic, view, unix_ns)
-
-    def _unix_ns(self, t_ns: int) -> int:
-        """As `Start.unix_of`, which is plain Python even here, and this is asked for twice a message."""
-        return max(0, t_ns + self._from_local_ns)
 
     def say_lost(self, t_ns: int, count: int) -> None:
         """Tell, at this place in the file, that something is missing."""
         self._say(t_ns, Severity.CRITICAL, f"{count} records lost: the disk did not take them")
 
     def _say(self, t_ns: int, severity: Severity, message: str) -> None:
-        unix_ns = self._unix_ns(t_ns)
+        unix_ns = self._start.unix_of(t_ns)
         self._view("/log", log(unix_ns, severity, message), unix_ns)
 
     def _view(self, topic: str, view: msgspec.Struct, unix_ns: int) -> None:

@@ -1,7 +1,8 @@
 """The whole app measured beside the floor: the least that the same libraries can do.
 
 Machines differ, and so do their neighbours: ours and the floor run in turn within minutes, and what counts
-are ratios. Of several turns the quietest counts, for either side. Both run with the precedence that
+are ratios. Latencies are those of all turns together, as they are drawn; of CPU and start the quietest turn
+counts, for either side. Both run with the precedence that
 config/companion.service gives to a flight (SCHED_RR, priority 10), where that is allowed.
 """
 
@@ -96,9 +97,9 @@ def _latency(extent: Extent) -> Part:
                 for c in everything:
                     segment = wire.measure(rig, c, wire.ONE, rate_hz, extent.latency_s, 0.5)
                     turns[c.name].append(segment.latencies_s)
-            for c in everything:
-                every = sorted(s for turn in turns[c.name] for s in turn)
-                curves[f"{c.name}, {rate_hz:.0f} Hz"] = tuple(
+            pooled = {name: sorted(s for turn in parts for s in turn) for name, parts in turns.items()}
+            for name, every in pooled.items():
+                curves[f"{name}, {rate_hz:.0f} Hz"] = tuple(
                     quantile(every, i / _POINTS) for i in range(_POINTS + 1)
                 )
             for c, share, goal in (
@@ -114,8 +115,8 @@ def _latency(extent: Extent) -> Part:
                         key=f"latency_{'all_on_' if more else ''}{rate_hz:.0f}hz_{name}_us",
                         what=f"range put → setpoint received, {rate_hz:.0f} Hz{more}, {name}",
                         unit="µs",
-                        value=min(ours) * 1e6,
-                        floor=min(floor) * 1e6,
+                        value=quantile(pooled[c.name], share) * 1e6,
+                        floor=quantile(pooled[wire.FLOOR.name], share) * 1e6,
                         goal=goal,
                         is_ratio=True,
                         least_ratio=min(a / b for a, b in zip(ours, floor, strict=True)),

@@ -6,6 +6,7 @@ python -m companion.bench.system.bare capture.toml
 from __future__ import annotations
 
 import sys
+from collections import deque
 from pathlib import Path
 
 from companion import config
@@ -21,8 +22,8 @@ def main(path: Path) -> None:
     bell = twin(Bell)()
     vehicle = twin(VehicleLink).open(settings.vehicle)
     ranges = twin(RangeLink)(settings.ranges, bell.ring, settings.beacons)
-
-    twin(Loop)(settings, vehicle, ranges, bell, lambda _: None, lambda _: None).fly()
+    nowhere = deque[object](maxlen=0).append  # not a lambda: that would be the only Python on a range's way
+    twin(Loop)(settings, vehicle, ranges, bell, nowhere, nowhere).fly()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """The floor: the least that the same libraries can do between a range and a setpoint.
 
 Zenoh's callback → a constant setpoint → pymavlink's pack → UDP. It reads no range, no telemetry and no clock
-but for the message's time stamp; what it costs cannot be saved by anybody who uses these libraries.
+but for the message's time stamp; what it costs cannot be saved by anybody who uses these libraries. Zenoh's
+threads are set as the app's are (`ZENOH_RUNTIME`, by the import of `companion.link.zenoh_session`).
 
     python -m companion.bench.system.floor tcp/127.0.0.1:7447 127.0.0.1:14540
 """

@@ -81,13 +81,14 @@ def _kill_and_start(scene: Scene) -> None:
 
 
 _STREAMED = 20
+"""More setpoints than any autopilot here wants to see before it lets OFFBOARD be selected."""
 
 
 def _kill_start_engage(scene: Scene) -> None:
     _kill_and_start(scene)
     scene.select(LOITER)
     scene.wait(lambda: scene.phase is STANDBY, "the new app is ready")
-    ready_s = time.monotonic()  # PX4 refuses OFFBOARD until setpoints have streamed for a while
+    ready_s = time.monotonic()  # PX4 refuses OFFBOARD while no setpoints stream
     scene.wait(lambda: len(scene.sent(ready_s)) > _STREAMED, "setpoints stream")
     scene.select(OFFBOARD)
 
