@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from companion import pilot
-from companion.compiled import twin
+from companion.compiled import native, twin
 from companion.settings import Settings
 from companion.state import State
 from companion.types import Event, Output
@@ -31,7 +31,7 @@ class Flying:
         record: Callable[[Event | Output], None],
     ) -> None:
         self._step = twin(pilot.step)
-        self._plan = twin(pilot.plan)(settings)
+        self._plan = twin(pilot.plan)(native(settings))
         self._state = twin(pilot.initial)(self._plan)
         self._send, self._record = send, record
         self._is_over = False

@@ -4,7 +4,8 @@
 counts only as long as every file that it was made from is the one that is here: whoever edits a source runs
 what was edited, not what was built before. Both forms do the same, bit for bit; only their speed differs.
 
-A compiled class is another class: who gives one to compiled code gives its twin.
+A compiled class is another class: who gives one to compiled code gives its twin, and to the core the settings
+as it reads them (`native`).
 """
 
 from __future__ import annotations
@@ -32,6 +33,18 @@ def twin(thing: _Thing) -> _Thing:
         return thing
     compiled: _Thing = getattr(import_module(f"{PACKAGE}.{thing.__module__}"), thing.__name__)
     return compiled
+
+
+def native(settings: Any) -> Any:
+    """Settings as the compiled core reads them, in classes of its own; themselves where there is none."""
+    if isinstance(settings, dict):
+        return {name: native(value) for name, value in settings.items()}
+    kinds: tuple[Any, ...] = type(settings).__mro__
+    for kind in kinds:
+        compiled = twin(kind)
+        if compiled is not kind:
+            return compiled(*(native(getattr(settings, name)) for name in kind.__struct_fields__))
+    return settings
 
 
 @cache

@@ -75,18 +75,28 @@ MODULES = (
     "sitl_mock.world",
 )
 """What a range runs through on its way to a setpoint, every step of a flight, and of a simulated one. Whose
-Structs are recorded, sent or configured (`companion.types`, the settings) is shared by both forms, and stays
-as it is."""
+Structs are recorded or sent (`companion.types`) is shared by both forms, and stays as it is."""
+SETTINGS = (
+    "companion.guidance.settings",
+    "companion.guidance.station_settings",
+    "companion.network_settings",
+    "companion.settings",
+)
+"""What the core asks for in every step, of classes of its own: `native` makes them of the app's."""
+OUTSIDE = ("companion.link.", "companion.live", "companion.run")
+"""Whose settings are those of the app."""
 
 
 def write(into: Path) -> list[Path]:
     """Write the rewritten modules below `into`, and the manifest; their files."""
-    trees = {module: ast.parse(file_of(module).read_text(encoding="utf-8")) for module in MODULES}
+    trees = {
+        module: ast.parse(file_of(module).read_text(encoding="utf-8")) for module in (*MODULES, *SETTINGS)
+    }
     structs = [
         frozenset(name for name, _, _ in _fields(node))
-        for tree in trees.values()
+        for module, tree in trees.items()
         for node in tree.body
-        if isinstance(node, ast.ClassDef) and _is_a(node, "msgspec.Struct")
+        if module in MODULES and isinstance(node, ast.ClassDef) and _is_struct(node)
     ]
     replaced = frozenset(name for tree in trees.values() for name in _replaced(tree))
     tuples = {
@@ -97,7 +107,9 @@ def write(into: Path) -> list[Path]:
     }
     manifest = into.joinpath(*MANIFEST.split(".")).with_suffix(".py")
     manifest.parent.mkdir(parents=True, exist_ok=True)
-    manifest.write_text(f"COMPILED = {MODULES!r}\nMADE_FROM = {made_from()!r}\n", encoding="utf-8")
+    manifest.write_text(
+        f"COMPILED = {(*MODULES, *SETTINGS)!r}\nMADE_FROM = {made_from()!r}\n", encoding="utf-8"
+    )
     files = [manifest]
     for module, tree in trees.items():
         file = into.joinpath(PACKAGE, *module.split(".")).with_suffix(".py")
@@ -111,7 +123,7 @@ def write(into: Path) -> list[Path]:
 def made_from() -> dict[str, str]:
     """All that a build depends on: those modules, and every other of this project that they import."""
     found: dict[str, str] = {}
-    waiting = [*MODULES, __name__]
+    waiting = [*MODULES, *SETTINGS, __name__]
     while waiting:
         module = waiting.pop()
         file = file_of(module)
@@ -140,6 +152,8 @@ class _Rewriter(ast.NodeTransformer):
         self._tuples = {name: fields for (of, name), fields in tuples.items() if of == module}
         """As they are called in this module."""
         self._all_tuples = tuples
+        self._is_settings = module in SETTINGS
+        self._compiled = MODULES if module.startswith(OUTSIDE) else (*MODULES, *SETTINGS)
         self._members: dict[str, ast.Attribute] = {}
 
     def visit_ImportFrom(self, node: ast.ImportFrom) -> list[ast.stmt]:
@@ -151,9 +165,9 @@ class _Rewriter(ast.NodeTransformer):
                     self._tuples[called] = fields
                 elif f"{node.module}.{alias.name}" == module:
                     self._tuples[f"{called}.{name}"] = fields
-        if node.module in MODULES:
+        if node.module in self._compiled:
             return [ast.ImportFrom(f"{PACKAGE}.{node.module}", node.names, 0)]
-        compiled = [a for a in node.names if f"{node.module}.{a.name}" in MODULES]
+        compiled = [a for a in node.names if f"{node.module}.{a.name}" in self._compiled]
         shared = [a for a in node.names if a not in compiled]
         return [
             ast.ImportFrom(module, names, 0)
@@ -196,7 +210,19 @@ class _Rewriter(ast.NodeTransformer):
 
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
         self.generic_visit(node)
-        return _native(node, self._replaced) if _is_a(node, "msgspec.Struct") else node
+        if self._is_settings:  # made by `native` alone, which gives every value, and never replaced
+            for field in (n for n in node.body if isinstance(n, ast.AnnAssign)):
+                field.value = None
+            return _native(node, frozenset())
+        return _native(node, self._replaced) if _is_struct(node) else node
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
+        """`Annotated[float, Meta(gt=0.0)]` → `float`."""
+        self.generic_visit(node)
+        match node:
+            case ast.Subscript(value=ast.Name(id="Annotated"), slice=ast.Tuple(elts=[kind, *_])):
+                return kind
+        return node
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
         """`replace(s, phase=x)` → `s.but().but_phase(x)`, which mypyc calls directly; `Gains(1.0, k2=x)` →
@@ -233,6 +259,10 @@ def _is_a(node: ast.ClassDef, base: str) -> bool:
     return base in map(ast.unparse, node.bases)
 
 
+def _is_struct(node: ast.ClassDef) -> bool:
+    return _is_a(node, "msgspec.Struct") or _is_a(node, "Table")
+
+
 def _fields(node: ast.ClassDef) -> list[tuple[str, str, ast.expr | None]]:
     """Name, type and default."""
     return [
@@ -246,12 +276,12 @@ def _native(node: ast.ClassDef, replaced: frozenset[str]) -> ast.ClassDef:
     """A plain class of the same fields, with what the places of `replace` need: a copy, and setters that
     return the object."""
     fields = _fields(node)
-    others = [n for n in node.body if isinstance(n, ast.FunctionDef)]
-    parameters = ", ".join(f"{n}: {t}" + ("" if v is None else f" = {ast.unparse(v)}") for n, t, v in fields)
+    others = [n for n in node.body if isinstance(n, ast.FunctionDef) and n.name != "__post_init__"]
+    parameters = "".join(f", {n}: {t}" + ("" if v is None else f" = {ast.unparse(v)}") for n, t, v in fields)
     lines = [f"@final\nclass {node.name}:"]
     lines += [f"    {n}: {t}" for n, t, _ in fields]
-    lines += [f"    def __init__(self, {parameters}) -> None:"]
-    lines += [f"        self.{n} = {n}" for n, _, _ in fields]
+    lines += [f"    def __init__(self{parameters}) -> None:"]
+    lines += [f"        self.{n} = {n}" for n, _, _ in fields] or ["        pass"]
     lines += [f"    def but(self) -> {node.name}:"]
     lines += [f"        return {node.name}({', '.join(f'self.{n}' for n, _, _ in fields)})"]
     for n, t in ((n, t) for n, t, _ in fields if n in replaced):

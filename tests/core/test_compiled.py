@@ -25,7 +25,7 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from companion import compiled, pilot
 from companion.bench.system.cost import configuration
-from companion.compiled import source, twin
+from companion.compiled import native, source, twin
 from companion.config import Config
 from companion.flight_writer import FlightWriter
 from companion.guidance.settings import GuidanceSettings
@@ -65,7 +65,7 @@ Flown = list[tuple[Event, tuple[Output, ...]]]
 
 def flight(config: Config, seed: int, core: Any, world: type[World]) -> Flown:
     around = world(config.sim, seed, FAULTS)
-    plan = core.plan(config)
+    plan = core.plan(config if core is pilot else native(config))
     state = core.initial(plan)
     flown: Flown = []
     for event in around.events():
@@ -121,7 +121,7 @@ def spoilt(events: list[Event], random: Random) -> Iterator[Event]:
 
 def told_by(core: Any, config: Config, events: Iterable[Event]) -> list[str]:
     """What leaves, and the error that ends it, in words: where NaN is NaN."""
-    plan = core.plan(config)
+    plan = core.plan(config if core is pilot else native(config))
     state = core.initial(plan)
     told: list[str] = []
     try:

@@ -17,7 +17,7 @@ import msgspec
 
 from companion import pilot
 from companion.bench.system.figures import quantile
-from companion.compiled import PACKAGE, twin, why_not
+from companion.compiled import PACKAGE, native, twin, why_not
 from companion.config import Config
 from companion.network_settings import BeaconSettings
 from companion.run import run
@@ -83,7 +83,7 @@ def step_cost(beacons: int, seconds: float, repeats: int) -> StepCost:
     """
     config = configuration(beacons, seconds)
     seen = events(config)
-    step, plan = twin(pilot.step), twin(pilot.plan)(config)
+    step, plan = twin(pilot.step), twin(pilot.plan)(native(config))
     best: dict[int, int] = {}
     every: list[int] = []
     clock, cpu_clock = time.perf_counter_ns, time.thread_time_ns
