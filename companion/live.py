@@ -22,13 +22,14 @@ from companion.state import State
 from companion.types import Event, ModeRequest, Output, RangeVerdict, Setpoint, StopRequest, Tick
 
 _SLEEP_MS = 25
-"""The longest sleep. It is not cut short for the next tick: ranges that are answered meanwhile put that off,
-and a third of all wakes would be for nothing. Telemetry, at the rate asked for by default, comes sooner."""
-_TICK_NS = 15_000_000
+"""The longest sleep; half the stream's longest period where that is less. It is not cut short for the next
+tick: ranges that are answered meanwhile put that off, and a third of all wakes would be for nothing.
+Telemetry, at the rate asked for by default, comes sooner."""
+_TICK_SHARE = 0.6
 """Whenever the loop is awake it ticks, if there was neither a tick nor a setpoint, a step as much as the
-other, for so long. What lies between two steps, the resolution of timeouts and of the stream's minimum rate,
-is a sleep, and this on top where something woke the loop just before a tick was due: 40 ms at most. No
-timeout's default is less than ten times that."""
+other, for this share of a sleep. What lies between two steps, the resolution of timeouts and of the stream's
+minimum rate, is a sleep, and this on top where something woke the loop just before a tick was due: 40 ms at
+most. No timeout's default is less than ten times that."""
 _PAUSE_NS = 250_000_000
 """A loop that stood still for longer is told so first; less than any `loss.held_up_after_s`."""
 _HUNG_NS = 125_000_000
@@ -102,7 +103,9 @@ class Loop:
         self._untold: deque[Output] = deque()
         self._bug: Exception | None = None
         self._t_turn_ns = 0
-        self._t_step_ns = -_TICK_NS
+        self._sleep_ms = min(_SLEEP_MS, int(500.0 / settings.stream.min_rate_hz))
+        self._tick_ns = int(_TICK_SHARE * 1e6 * self._sleep_ms)
+        self._t_step_ns = -self._tick_ns
         """When a tick was given, or a setpoint left, last."""
         ranges.wake = self._wake
 
@@ -114,8 +117,8 @@ class Loop:
         """What the main thread takes.
 
         A range or a telemetry message is yielded as soon as it arrives; a tick where no setpoint has left for
-        `_TICK_NS`. Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause the
-        tick comes first: ranges that waited bear the times at which they came, as if there had been none.
+        most of a sleep. Whoever iterates more slowly gets fewer ticks, never a backlog of them. After a pause
+        the tick comes first: ranges that waited bear the times at which they came, as if there had been none.
         """
         waiting = select.poll()  # not `selectors`: its wrapping costs more than the system call
         telemetry, rung = self._vehicle.fileno(), self._bell.fileno()
@@ -143,7 +146,7 @@ class Loop:
             if self._bell.stop_asked and not stopped:
                 stopped = True
                 yield StopRequest(t_ns=now_ns)
-            if now_ns >= self._t_step_ns + _TICK_NS:
+            if now_ns >= self._t_step_ns + self._tick_ns:
                 self._t_step_ns = now_ns
                 yield Tick(t_ns=now_ns)
 
@@ -152,7 +155,7 @@ class Loop:
         self._is_asleep = True
         self._lock.release()
         try:
-            return [descriptor for descriptor, _ in waiting.poll(_SLEEP_MS)]
+            return [descriptor for descriptor, _ in waiting.poll(self._sleep_ms)]
         finally:
             self._lock.acquire()
             self._is_asleep = False

@@ -20,7 +20,7 @@ from companion.link.zenoh_ranges import RangeLink
 from companion.live import Bell, Loop
 from companion.record import start_now
 from companion.recorder import Recorder
-from companion.settings import LossSettings, Settings, StatusSettings, VehicleSettings
+from companion.settings import LossSettings, Settings, StatusSettings, StreamSettings, VehicleSettings
 from companion.types import (
     CompanionHeartbeat,
     Event,
@@ -390,6 +390,22 @@ def test_it_ticks_when_it_is_awake_anyway_and_otherwise_every_25_ms(scene: Scene
     assert scene.longest_ms == 25
     assert [event.t_ns // MS for event in scene.taken if isinstance(event, Tick)] == [0, 16, 41, 80]
     assert [event.t_ns // MS for event in scene.taken if isinstance(event, RangeSample)] == [4, 16]
+
+
+def test_a_stream_of_100_hz_wakes_the_loop_often_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice a period, though nothing comes but the clock."""
+    scene = Scene(monkeypatch, Settings(stream=StreamSettings(min_rate_hz=100.0, max_rate_hz=100.0)))
+
+    def sleeps() -> Iterator[list[int]]:
+        yield scene.engaged()
+        scene.setpoints()
+        for _ in range(20):
+            scene.t_ms += 5
+            yield []
+
+    scene.fly(sleeps())
+    assert scene.longest_ms == 5
+    assert scene.setpoints() == 10
 
 
 def test_a_setpoint_takes_a_ticks_place(scene: Scene) -> None:
